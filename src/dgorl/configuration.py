@@ -1,0 +1,264 @@
+"""The whole configuration: frozen dataclasses; defaults < the log's own description < YAML file < command line.
+
+An unknown key is an error that names the nearest known one. Field docstrings are what ``dgorl config`` prints.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType, UnionType
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+
+import yaml
+
+from dgorl.errors import ConfigurationError
+
+Kernel = Literal["none", "huber", "cauchy", "huber_negative", "cauchy_negative"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Odometry: what the wheels say and how far to trust it (METHOD §1)."""
+
+    linear_scale: float = 1.0
+    """true forward speed = linear_scale × reported"""
+    angular_scale: float = 1.0
+    """true turn rate = angular_scale × reported"""
+    lag: float = 0.0
+    """the body follows the reported twist this much later [s]"""
+    heading_per_second: float = 0.007
+    """heading σ after one second [rad/√s]"""
+    heading_per_radian: float = 0.10
+    """heading σ after turning one radian [rad/√rad]"""
+    heading_per_metre: float = 0.04
+    """heading σ after one metre [rad/√m]"""
+    forward_per_metre: float = 0.06
+    """forward σ after one metre [m/√m]"""
+    lateral_per_metre: float = 0.02
+    """sideways σ after one metre [m/√m]"""
+    position_per_second: float = 0.003
+    """position σ after one second, moving or not [m/√s]"""
+    maximum_speed: float = 1.0
+    """a robot without odometry for a while moves at most this fast [m/s]"""
+    maximum_turn_rate: float = 2.0
+    """... and turns at most this fast [rad/s]"""
+    predicted_speed_sigma: float = 0.2
+    """σ of the speed a late robot is predicted with [m/s]"""
+    predicted_turn_rate_sigma: float = 0.5
+    """σ of the turn rate a late robot is predicted with [rad/s]"""
+
+
+@dataclass(frozen=True)
+class Radio:
+    """Signal strength: RSSI(d) = A − 10 η log10(d) + N(0, σ_dB²) (METHOD §2)."""
+
+    rssi_at_1m_dbm: float = -40.0
+    """A: expected RSSI at one metre [dBm]"""
+    path_loss_exponent: float = 3.0
+    """η, 2 (free space) to 6 (complex indoor)"""
+    sigma_db: float = 2.0
+    """σ_dB: shadowing [dB]"""
+    reciprocity: float = 0.0
+    """correlation ρ of the two directions of a link, 0 to 1"""
+    kernel: Kernel = "none"
+    """robust kernel; the one-sided ones distrust weak readings alone"""
+    width: float = 2.0
+    """kernel width [σ]"""
+    thinning: float = 0.0
+    """one reading per direction and this many seconds; 0 takes all"""
+
+
+@dataclass(frozen=True)
+class Ranging:
+    """Ranges: range_true = scale · reported + offset, σ(d) = sigma + sigma_per_metre · d (METHOD §2)."""
+
+    scale: float = 1.0
+    """multiplies the reported range"""
+    offset: float = 0.0
+    """added after scaling [m]"""
+    sigma: float | None = None
+    """σ at zero distance [m]; null takes each measurement's own"""
+    sigma_per_metre: float = 0.0
+    """growth of σ with distance [m/m]; used with sigma"""
+    kernel: Kernel = "none"
+    """robust kernel; the one-sided ones distrust long ranges alone"""
+    width: float = 2.0
+    """kernel width [σ]"""
+    thinning: float = 0.0
+    """one range per pair and this many seconds; 0 takes all"""
+
+
+@dataclass(frozen=True)
+class Bearings:
+    """Bearings: bearing_true = reported + offset."""
+
+    offset: float = 0.0
+    """added to the reported bearing [rad]"""
+    sigma: float | None = None
+    """σ [rad]; null takes each measurement's own"""
+    kernel: Kernel = "none"
+    """robust kernel"""
+    width: float = 2.0
+    """kernel width [σ]"""
+    thinning: float = 0.0
+    """one bearing per direction and this many seconds; 0 takes all"""
+
+
+@dataclass(frozen=True)
+class Status:
+    """When a peer counts as located (METHOD §3)."""
+
+    accuracy: float = 1.0
+    """position 1σ above this is unobservable [m] ..."""
+    accuracy_per_metre: float = 0.15
+    """... or above this share of the distance, whichever is larger"""
+    heading: float = 20.0
+    """heading 1σ above this leaves `position` [deg]"""
+    age: float = 10.0
+    """a peer unheard for longer is isolated [s]"""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Everything a Localizer can be told."""
+
+    window: float | Literal["all"] = 30.0
+    """length of the window that is optimised [s], a multiple of 5 s, or all"""
+    history: float = 180.0
+    """measurements later than this are too late [s]"""
+    period: float = 0.5
+    """time between two ticks [s]"""
+    seed: int = 0
+    """of everything that is drawn by chance"""
+    solver: Literal["native"] = "native"
+    """what optimises the graph"""
+    motion: Motion = field(default_factory=Motion)
+    radio: Radio = field(default_factory=Radio)
+    ranging: Ranging = field(default_factory=Ranging)
+    bearings: Bearings = field(default_factory=Bearings)
+    status: Status = field(default_factory=Status)
+    antennas: Mapping[str, tuple[float, float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    """robot: [x, y, z] of its antenna in its body frame [m]; `default` serves robots not named"""
+
+    def __post_init__(self) -> None:
+        checks = {
+            "window must be a multiple of 5 s, at least 5": self.window == "all"
+            or (self.window >= 5 and float(self.window) % 5 == 0),
+            "history must be at least 10 s": self.history >= 10,
+            "period must be positive": self.period > 0,
+            "radio.path_loss_exponent must be positive": self.radio.path_loss_exponent > 0,
+            "radio.sigma_db must be positive": self.radio.sigma_db > 0,
+            "radio.reciprocity must be in [0, 1]": 0 <= self.radio.reciprocity <= 1,
+            "ranging.sigma must be positive": self.ranging.sigma is None or self.ranging.sigma > 0,
+            "bearings.sigma must be positive": self.bearings.sigma is None or self.bearings.sigma > 0,
+            "kernel widths must be positive": min(self.radio.width, self.ranging.width, self.bearings.width) > 0,
+            "motion scales must be positive": min(self.motion.linear_scale, self.motion.angular_scale) > 0,
+        }
+        for what, holds in checks.items():
+            if not holds:
+                raise ConfigurationError(what)
+
+
+def merge(base: Configuration, changes: Mapping[str, Any], source: str) -> Configuration:
+    """``base`` with nested ``changes`` applied; ``source`` names them in errors.
+
+    Raises ConfigurationError for unknown keys (naming the nearest) and wrong types.
+    """
+    return cast(Configuration, _merge(base, changes, source, ""))
+
+
+def load(path: str | Path) -> Mapping[str, Any]:
+    """The mapping in a YAML file. Raises ConfigurationError with file and line."""
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        raise ConfigurationError(f"{path}{line}: not YAML: {getattr(error, 'problem', error)}") from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigurationError(f"{path}: must be a mapping of settings, got {type(data).__name__}")
+    return data
+
+
+def as_dict(value: Any) -> Any:
+    """Plain dicts, lists and scalars of a configuration, for YAML and JSON."""
+    if dataclasses.is_dataclass(value):
+        return {f.name: as_dict(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key: as_dict(item) for key, item in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """A hint naming the known word nearest to ``word``, empty if none is near."""
+    match = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean `{match[0]}`?" if match else ""
+
+
+def _merge(base: Any, changes: Mapping[str, Any], source: str, prefix: str) -> Any:
+    hints = get_type_hints(type(base))
+    values: dict[str, Any] = {}
+    for key, value in changes.items():
+        name = f"{prefix}{key}"
+        if key not in hints:
+            raise ConfigurationError(f"{source}: unknown setting `{name}`{nearest(str(key), hints)}")
+        current = getattr(base, key)
+        if dataclasses.is_dataclass(current):
+            if not isinstance(value, Mapping):
+                raise ConfigurationError(f"{source}: `{name}` must be a mapping, got {value!r}")
+            values[key] = _merge(current, value, source, f"{name}.")
+        else:
+            values[key] = _convert(value, hints[key], source, name)
+    try:
+        return dataclasses.replace(base, **values)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{source}: {error}") from error
+
+
+def _convert(value: Any, hint: Any, source: str, name: str) -> Any:
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        for option in get_args(hint):
+            try:
+                return _convert(value, option, source, name)
+            except ConfigurationError:
+                continue
+    elif origin is Literal:
+        if value in get_args(hint):
+            return value
+    elif hint is type(None):
+        if value is None:
+            return None
+    elif hint is float:
+        if isinstance(value, int | float) and not isinstance(value, bool) and value == value and abs(value) != float("inf"):
+            return float(value)
+    elif hint is int:
+        if isinstance(value, int) and not isinstance(value, bool):
+            return value
+    elif isinstance(value, Mapping) and name == "antennas":
+        return MappingProxyType({str(k): _antenna(v, source, f"{name}.{k}") for k, v in value.items()})
+    raise ConfigurationError(f"{source}: `{name}` must be {_describe(hint)}, got {value!r}")
+
+
+def _antenna(value: Any, source: str, name: str) -> tuple[float, float, float]:
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise ConfigurationError(f"{source}: `{name}` must be [x, y, z] in metres, got {value!r}")
+    x, y, z = (cast(float, _convert(v, float, source, name)) for v in value)
+    return x, y, z
+
+
+def _describe(hint: Any) -> str:
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(_describe(option) for option in get_args(hint))
+    if origin is Literal:
+        return " or ".join(str(option) for option in get_args(hint))
+    return {float: "a number", int: "a whole number", type(None): "null"}.get(hint, "a mapping")

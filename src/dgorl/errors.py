@@ -1,0 +1,29 @@
+"""The errors DGORL raises. The library raises; only ``cli/`` prints or exits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class DgorlError(Exception):
+    """Root of everything DGORL raises on purpose: what is wrong, where, what to do."""
+
+
+class ConfigurationError(DgorlError):
+    """A configuration that cannot be used: unknown key, wrong type, value out of range."""
+
+
+class MeasurementError(DgorlError, ValueError):
+    """A measurement that can not be true: NaN, infinity, a negative range, time running backwards."""
+
+
+class MissingExtraError(DgorlError):
+    """An optional package is not installed; the message says how to install it."""
+
+
+class LogError(DgorlError):
+    """A log that cannot be read: ``FILE:LINE: what is wrong``."""
+
+    def __init__(self, path: str | Path, line: int | None, what: str) -> None:
+        self.path, self.line = Path(path), line
+        super().__init__(f"{path}:{line}: {what}" if line is not None else f"{path}: {what}")
