@@ -1,0 +1,187 @@
+// dgorl._core: checks shapes and raises, nothing else. Documented in src/dgorl/_core.pyi.
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "arguments.hpp"
+#include "dgorl/covariance.hpp"
+#include "dgorl/inspect.hpp"
+#include "dgorl/marginalize.hpp"
+#include "dgorl/odometry.hpp"
+#include "dgorl/optimize.hpp"
+
+using namespace nb::literals;
+
+namespace dgorl::bindings {
+namespace {
+
+void append(const std::vector<Pose>& poses, std::vector<double>& out) {
+  for (const Pose& p : poses) out.insert(out.end(), {p.x, p.y, p.theta});
+}
+
+// Results of one start have no batch axis.
+struct Solution {
+  nb::object poses, cost, iterations, reason, covariance;
+};
+
+Solution optimize(const Graph& graph, nb::handle initial, int max_iterations, double step_tolerance,
+                  double initial_damping) {
+  const Options options{max_iterations, step_tolerance, initial_damping};
+  check(options);
+  const auto n = static_cast<std::size_t>(graph.layout().poses());
+  const Argument<double> starts("initial", initial, {kAny, static_cast<nb::ssize_t>(n), 3});
+  const std::size_t batch = starts.extent(0);
+  std::vector<double> poses, cost;
+  std::vector<std::int64_t> iterations;
+  std::vector<std::string> reason;
+  {
+    const nb::gil_scoped_release unlocked;
+    Optimizer optimizer(graph);
+    poses.reserve(3 * n * batch);
+    for (std::size_t b = 0; b < batch; ++b) {
+      const auto rows = static_cast<Eigen::Index>(n);
+      std::vector<Pose> x = graph.poses({starts.data() + 3 * n * b, rows, 3}, "initial");
+      const Result result = optimizer.run(x, options);
+      append(x, poses);
+      cost.push_back(result.cost);
+      iterations.push_back(result.iterations);
+      reason.emplace_back(name(result.reason));
+    }
+  }
+  return {to_numpy(std::move(poses), {batch, n, 3}), to_numpy(std::move(cost), {batch}),
+          to_numpy(std::move(iterations)), nb::cast(reason), nb::none()};
+}
+
+Solution solve(const Graph& graph, nb::handle initial, nb::handle select, int max_iterations,
+               double step_tolerance, double initial_damping) {
+  const Options options{max_iterations, step_tolerance, initial_damping};
+  check(options);
+  const RowArgument<3> start("initial", initial, graph.layout().poses());
+  const std::vector<int> selected = checked_selection(graph.layout(), IndexArgument("select", select));
+  std::vector<double> poses;
+  Result result;
+  Matrix covariance;
+  {
+    const nb::gil_scoped_release unlocked;
+    Optimizer optimizer(graph);
+    std::vector<Pose> x = graph.poses(start, "initial");
+    result = optimizer.run(x, options);
+    covariance = optimizer.covariance(x, selected);
+    append(x, poses);
+  }
+  const auto n = static_cast<std::size_t>(graph.layout().poses());
+  return {to_numpy(std::move(poses), {n, 3}), nb::cast(result.cost), nb::cast(result.iterations),
+          nb::cast(name(result.reason)), to_numpy(covariance)};
+}
+
+nb::object covariance(const Graph& graph, nb::handle poses, nb::handle select) {
+  const RowArgument<3> at("poses", poses, graph.layout().poses());
+  const std::vector<int> selected = checked_selection(graph.layout(), IndexArgument("select", select));
+  Matrix out;
+  {
+    const nb::gil_scoped_release unlocked;
+    const std::vector<Pose> x = graph.poses(at, "poses");
+    out = Optimizer(graph).covariance(x, selected);
+  }
+  return to_numpy(out);
+}
+
+nb::tuple marginalize_slots(const Graph& graph, nb::handle poses, std::int64_t slot) {
+  const RowArgument<3> at("poses", poses, graph.layout().poses());
+  Marginal out;
+  {
+    const nb::gil_scoped_release unlocked;
+    const std::vector<Pose> x = graph.poses(at, "poses");
+    out = marginalize(graph, x.data(), slot);
+  }
+  return nb::make_tuple(to_numpy(std::vector<std::int64_t>(out.kept.begin(), out.kept.end())),
+                        to_numpy(out.information), to_numpy(out.gradient));
+}
+
+nb::object gauss_newton_step(const Graph& graph, nb::handle poses) {
+  const std::vector<Pose> x = graph.poses(RowArgument<3>("poses", poses, graph.layout().poses()), "poses");
+  return to_numpy(undamped_step(graph, x.data()));
+}
+
+nb::tuple hessian(const Graph& graph, nb::handle poses) {
+  const std::vector<Pose> x = graph.poses(RowArgument<3>("poses", poses, graph.layout().poses()), "poses");
+  const DenseNormalEquations out = dense_normal_equations(graph, x.data());
+  return nb::make_tuple(to_numpy(out.hessian), to_numpy(out.gradient));
+}
+
+double cost(const Graph& graph, nb::handle poses) {
+  const RowArgument<3> at("poses", poses, graph.layout().poses());
+  return graph.cost(graph.poses(at, "poses").data());
+}
+
+nb::list residuals(const Graph& graph, nb::handle poses) {
+  const RowArgument<3> at("poses", poses, graph.layout().poses());
+  nb::list out;
+  for (const Residuals& r : graph.residuals(graph.poses(at, "poses").data()))
+    out.append(nb::make_tuple(r.kind, to_numpy(r.values)));
+  return out;
+}
+
+nb::tuple preintegrate_groups(nb::handle deltas, nb::handle covariances, nb::handle counts) {
+  const auto out = preintegrate(RowArgument<3>("deltas", deltas), RowArgument<6>("covariances", covariances),
+                                IndexArgument("counts", counts));
+  std::vector<double> sums, spreads;
+  for (const Preintegrated& p : out) {
+    sums.insert(sums.end(), p.delta.data(), p.delta.data() + 3);
+    spreads.insert(spreads.end(), p.covariance.data(), p.covariance.data() + 9);  // symmetric
+  }
+  return nb::make_tuple(to_numpy(std::move(sums), {out.size(), 3}),
+                        to_numpy(std::move(spreads), {out.size(), 3, 3}));
+}
+
+nb::object chain_poses(nb::handle start, nb::handle deltas) {
+  const Argument<double> first("start", start, {3});
+  const auto out = chain(Pose(first.data()), RowArgument<3>("deltas", deltas));
+  std::vector<double> values;
+  for (const Vector3& v : out) values.insert(values.end(), v.data(), v.data() + 3);
+  return to_numpy(std::move(values), {out.size(), 3});
+}
+
+}  // namespace
+
+void bind_adders(nb::class_<Graph>& graph);
+
+void bind(nb::module_& m) {
+  m.attr("NONE") = static_cast<int>(KernelType::kNone);
+  m.attr("HUBER") = static_cast<int>(KernelType::kHuber);
+  m.attr("CAUCHY") = static_cast<int>(KernelType::kCauchy);
+  m.attr("HUBER_NEGATIVE") = static_cast<int>(KernelType::kHuberNegative);
+  m.attr("CAUCHY_NEGATIVE") = static_cast<int>(KernelType::kCauchyNegative);
+
+  nb::class_<Solution>(m, "Solution")
+      .def_ro("poses", &Solution::poses)
+      .def_ro("cost", &Solution::cost)
+      .def_ro("iterations", &Solution::iterations)
+      .def_ro("reason", &Solution::reason)
+      .def_ro("covariance", &Solution::covariance);
+
+  nb::class_<Graph> graph(m, "Graph");
+  graph.def(
+      "__init__",
+      [](Graph* self, nb::handle slots, nb::handle fixed) {
+        new (self) Graph(IndexArgument("slots", slots), FlagArgument("fixed", fixed));
+      },
+      "slots"_a, "fixed"_a);
+  bind_adders(graph);
+  graph
+      .def("optimize", &optimize, "initial"_a, "max_iterations"_a = 50, "step_tolerance"_a = 1e-9,
+           "initial_damping"_a = 1e-6)
+      .def("solve", &solve, "initial"_a, "select"_a, "max_iterations"_a = 50, "step_tolerance"_a = 1e-9,
+           "initial_damping"_a = 1e-6)
+      .def("cost", &cost, "poses"_a)
+      .def("residuals", &residuals, "poses"_a)
+      .def("covariance", &covariance, "poses"_a, "select"_a)
+      .def("marginalize", &marginalize_slots, "poses"_a, "slot"_a)
+      .def("gauss_newton_step", &gauss_newton_step, "poses"_a)
+      .def("hessian", &hessian, "poses"_a);
+  m.def("preintegrate", &preintegrate_groups, "deltas"_a, "covariances"_a, "counts"_a);
+  m.def("chain", &chain_poses, "start"_a, "deltas"_a);
+}
+
+}  // namespace dgorl::bindings
+
+NB_MODULE(_core, m) { dgorl::bindings::bind(m); }

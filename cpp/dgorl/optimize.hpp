@@ -1,0 +1,47 @@
+// Levenberg-Marquardt on the window graph. METHOD section 5.
+#pragma once
+
+#include <vector>
+
+#include "dgorl/graph.hpp"
+
+namespace dgorl {
+
+struct Options {
+  int max_iterations = 50;
+  double step_tolerance = 1e-9;  // largest component of a step [m, rad]
+  double initial_damping = 1e-6;
+};
+
+void check(const Options& options);
+
+enum class Reason { kConverged, kStalled, kMaxIterations, kFailed };
+const char* name(Reason reason);
+
+struct Result {
+  double cost = 0.0;
+  int iterations = 0;  // linear systems solved
+  Reason reason = Reason::kMaxIterations;
+};
+
+class Optimizer {
+ public:
+  explicit Optimizer(const Graph& graph);
+
+  // Improves `poses` in place. Each run is independent of the ones before it.
+  Result run(std::vector<Pose>& poses, const Options& options);
+
+  // Joint covariance of the selected poses where the last run ended.
+  Matrix covariance(const std::vector<Pose>& poses, const std::vector<int>& select);
+
+ private:
+  double apply(const std::vector<Pose>& from, std::vector<Pose>& to) const;
+
+  const Graph& graph_;
+  NormalEquations normal_, trial_normal_;
+  BlockCholesky cholesky_;
+  Vector step_;
+  std::vector<Pose> trial_;
+};
+
+}  // namespace dgorl
