@@ -25,12 +25,20 @@ def _require(condition: bool, what: str) -> None:
 
 def _finite(**values: float) -> None:
     for name, value in values.items():
-        _require(isfinite(value), f"{name} must be finite, got {value}")
+        if not isfinite(value):
+            raise MeasurementError(f"{name} must be finite, got {value}")
 
 
 def _pair(a: str, b: str) -> None:
     _require(bool(a) and bool(b), "robot names must not be empty")
     _require(a != b, f"a robot cannot measure itself: {a}")
+
+
+def _interval(robot: str, start: float, end: float) -> None:
+    if not end > start:
+        raise MeasurementError(f"odometry must end after it starts, got {start} to {end}")
+    if not robot or robot == WORLD:
+        raise MeasurementError(f"not a robot's name: {robot!r}")
 
 
 def _covariance(values: Covariance) -> None:
@@ -59,8 +67,7 @@ class Odometry:
 
     def __post_init__(self) -> None:
         _finite(start=self.start, end=self.end, v=self.v, omega=self.omega)
-        _require(self.end > self.start, f"odometry must end after it starts, got {self.start} to {self.end}")
-        _require(bool(self.robot) and self.robot != WORLD, f"not a robot's name: {self.robot!r}")
+        _interval(self.robot, self.start, self.end)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +88,7 @@ class Displacement:
 
     def __post_init__(self) -> None:
         _finite(start=self.start, end=self.end, dx=self.dx, dy=self.dy, dtheta=self.dtheta)
-        _require(self.end > self.start, f"odometry must end after it starts, got {self.start} to {self.end}")
-        _require(bool(self.robot) and self.robot != WORLD, f"not a robot's name: {self.robot!r}")
+        _interval(self.robot, self.start, self.end)
         if self.covariance is not None:
             _covariance(self.covariance)
 

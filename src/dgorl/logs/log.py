@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from dgorl.measurements import Measurement
+from dgorl.configuration import nearest
+from dgorl.errors import LogError
+from dgorl.measurements import Bearing, Displacement, Measurement, Odometry, Range, RelativePose, Rssi
 from dgorl.se2 import Array
 
 
@@ -24,9 +27,10 @@ class Start:
 class Log:
     """A team's recording: measurements in the order they became known, and truth kept apart from them.
 
-    truth: robot → (T, 4) of t, x, y, theta, rising t; empty where the log has none. Only :mod:`dgorl.evaluation`
-    reads it. starts: the log's start poses, used by ``--initial known`` alone. configuration: nested settings the log
-    itself states (radio, antennas, ...), over the defaults and under the user's. skipped: rows left out, by reason.
+    truth: robot → (T, 4) of t, x, y, theta, rising t; empty where the log has none. Only
+    :mod:`dgorl.evaluation` reads it. starts: the log's start poses, used by ``--initial known`` alone.
+    configuration: nested settings the log itself states (radio, antennas, ...), over the defaults and under
+    the user's. skipped: rows left out, by reason.
     """
 
     path: Path
@@ -36,3 +40,50 @@ class Log:
     starts: Mapping[str, Start] = field(default_factory=lambda: MappingProxyType({}))
     configuration: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     skipped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+
+KINDS: Mapping[str, type[Range] | type[Bearing] | type[Rssi]] = MappingProxyType(
+    {"range": Range, "bearing": Bearing, "rssi": Rssi}
+)
+"""The kinds of measurements between robots, by the names ``--measurements`` knows."""
+
+
+def select(log: Log, kinds: Collection[str]) -> Log:
+    """The log with odometry, relative poses and, of the other measurements, the named kinds alone.
+
+    Raises LogError for a kind that does not exist or that the log has none of.
+    """
+    for kind in kinds:
+        if kind not in KINDS:
+            raise LogError(log.path, None, f"no measurements are called `{kind}`{nearest(kind, KINDS)}")
+    present = {name for name, kind in KINDS.items() if any(type(m) is kind for m in log.measurements)}
+    for kind in kinds:
+        if kind not in present:
+            has = ", ".join(sorted(present)) or "none between robots"
+            raise LogError(log.path, None, f"has no {kind} measurements; it has {has}")
+    unwanted = tuple(kind for name, kind in KINDS.items() if name not in kinds)
+    kept = tuple(m for m in log.measurements if not isinstance(m, unwanted))
+    return dataclasses.replace(log, measurements=kept)
+
+
+def in_order(measurements: Iterable[Measurement]) -> tuple[Measurement, ...]:
+    """Sorted by the stamp at which they are known; ties by kind, names and values: there is one order."""
+    return tuple(sorted(measurements, key=_order))
+
+
+def _order(measurement: Measurement) -> tuple[Any, ...]:
+    m = measurement
+    match m:
+        case Odometry():
+            return (m.end, 0, m.robot, m.start, m.v, m.omega, m.epoch)
+        case Displacement():
+            return (m.end, 1, m.robot, m.start, m.dx, m.dy, m.dtheta, m.epoch, m.covariance or ())
+        case Rssi():
+            return (m.stamp, 2, m.transmitter, m.receiver, m.dbm)
+        case Range():
+            exchange = -1 if m.exchange is None else m.exchange
+            return (m.stamp, 3, m.robot, m.peer, m.range, m.sigma or 0.0, m.exchange is not None, exchange)
+        case Bearing():
+            return (m.stamp, 4, m.observer, m.target, m.bearing, m.sigma or 0.0)
+        case RelativePose():
+            return (m.stamp, 5, m.reference, m.robot, m.x, m.y, m.theta, m.covariance, m.prior)

@@ -1,0 +1,145 @@
+"""Strict reading of text tables: every bad line becomes a LogError with its file, its line and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TypeVar
+
+from dgorl.configuration import nearest
+from dgorl.errors import LogError, MeasurementError
+
+Columns = tuple[str, ...]
+T = TypeVar("T")
+
+
+def text_of(path: Path) -> str:
+    """The whole file. Raises LogError when it is missing, not readable or not UTF-8 (naming the line)."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(path, None, f"cannot be read: {error.strerror}") from error
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise LogError(path, line, "not UTF-8 text; save the file as UTF-8") from error
+
+
+def number_of(field: str) -> float | None:
+    """The finite number a field holds, or None."""
+    try:
+        value = float(field)
+    except ValueError:
+        return None
+    return value if isfinite(value) and "_" not in field else None
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table, its fields by position; ``columns`` names them in errors."""
+
+    path: Path
+    line: int
+    columns: Columns
+    fields: list[str]
+
+    def error(self, what: str) -> LogError:
+        return LogError(self.path, self.line, what)
+
+    def number(self, index: int) -> float:
+        value = number_of(self.fields[index])
+        if value is None:
+            name, field = self.columns[index], self.fields[index].strip()
+            raise self.error(f"`{name}` must be a finite number, got `{field}`")
+        return value
+
+    def numbers(self, first: int, last: int) -> list[float]:
+        return [self.number(index) for index in range(first, last)]
+
+    def optional(self, index: int) -> float | None:
+        """A number, or None for an empty or missing field."""
+        return self.number(index) if self.given(index) else None
+
+    def whole(self, index: int) -> int:
+        try:
+            return int(self.fields[index])
+        except ValueError:
+            name, field = self.columns[index], self.fields[index].strip()
+            raise self.error(f"`{name}` must be a whole number, got `{field}`") from None
+
+    def given(self, index: int) -> bool:
+        return index < len(self.fields) and bool(self.fields[index].strip())
+
+    def robot(self, index: int, robots: Collection[str]) -> str:
+        name = self.fields[index].strip()
+        if name not in robots:
+            known = ", ".join(robots)
+            raise self.error(f"unknown robot `{name}`{nearest(name, robots)}; the robots are {known}")
+        return name
+
+    def make(self, kind: Callable[..., T], *values: object) -> T:
+        """A measurement of these values, its complaint turned into a LogError."""
+        try:
+            return kind(*values)
+        except MeasurementError as error:
+            raise self.error(str(error)) from error
+
+
+class Forward:
+    """Refuses time that runs backwards, in a file or in each of several series (``who``)."""
+
+    def __init__(self, strictly: bool = False) -> None:
+        self._last: dict[str, float] = {}
+        self._strictly = strictly
+
+    def check(self, row: Row, stamp: float, who: str = "") -> None:
+        last = self._last.get(who)
+        if last is not None and (stamp < last or (self._strictly and stamp == last)):
+            what = "time stands still" if stamp == last else "time runs backwards"
+            of = f" for {who}" if who else ""
+            raise row.error(f"{what}{of}: {stamp!r} after {last!r}; sort the rows by time")
+        self._last[who] = stamp
+
+
+def csv_rows(path: Path, families: Sequence[Sequence[Columns]]) -> tuple[int, Iterator[Row]]:
+    """Which family of headers a CSV file has, and its rows, as wide as any header of that family.
+
+    Raises LogError for a missing or unknown header and, while iterating, for a row of another width.
+    """
+    lines = text_of(path).split("\n")
+    header = tuple(name.strip() for name in lines[0].split(","))
+    for index, family in enumerate(families):
+        if header in family:
+            return index, _rows(path, lines, family)
+    wanted = " or ".join(f"`{','.join(columns)}`" for family in families for columns in family)
+    got = f"got `{lines[0].strip()}`" if lines[0].strip() else "it is empty"
+    raise LogError(path, 1, f"the first line must be the header {wanted}; {got}")
+
+
+def _rows(path: Path, lines: list[str], family: Sequence[Columns]) -> Iterator[Row]:
+    widths = sorted({len(columns) for columns in family})
+    columns = max(family, key=len)
+    for number, line in enumerate(lines[1:], start=2):
+        fields = line.split(",")
+        if len(fields) not in widths:
+            if not line.strip():
+                continue
+            needed = " or ".join(str(width) for width in widths)
+            what = f"needs {needed} columns, got {len(fields)} (the columns are {','.join(columns)})"
+            raise LogError(path, number, what)
+        yield Row(path, number, columns, fields)
+
+
+def dat_rows(path: Path, columns: Columns) -> Iterator[Row]:
+    """Rows of a table separated by blanks, `#` starts a comment line."""
+    for number, line in enumerate(text_of(path).split("\n"), start=1):
+        fields = line.split()
+        if not fields or fields[0].startswith("#"):
+            continue
+        if len(fields) != len(columns):
+            what = f"needs {len(columns)} columns ({' '.join(columns)}), got {len(fields)}"
+            raise LogError(path, number, what)
+        yield Row(path, number, columns, fields)
