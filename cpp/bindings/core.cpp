@@ -18,7 +18,7 @@ void append(const std::vector<Pose>& poses, std::vector<double>& out) {
   for (const Pose& p : poses) out.insert(out.end(), {p.x, p.y, p.theta});
 }
 
-// Results of one start have no batch axis.
+// Results with a batch axis; covariance is None where it was not asked for.
 struct Solution {
   nb::object poses, cost, iterations, reason, covariance;
 };
@@ -69,8 +69,9 @@ Solution solve(const Graph& graph, nb::handle initial, nb::handle select, int ma
     append(x, poses);
   }
   const auto n = static_cast<std::size_t>(graph.layout().poses());
-  return {to_numpy(std::move(poses), {n, 3}), nb::cast(result.cost), nb::cast(result.iterations),
-          nb::cast(name(result.reason)), to_numpy(covariance)};
+  return {to_numpy(std::move(poses), {1, n, 3}), to_numpy(std::vector<double>{result.cost}, {1}),
+          to_numpy(std::vector<std::int64_t>{result.iterations}),
+          nb::cast(std::vector<std::string>{name(result.reason)}), to_numpy(covariance)};
 }
 
 nb::object covariance(const Graph& graph, nb::handle poses, nb::handle select) {

@@ -1,0 +1,207 @@
+"""The numerical core (C++): window graphs of SE(2) poses, their optimum, covariances and marginals. METHOD §1, §2, §5.
+
+Poses are (x, y, θ) [m, m, rad] in one common frame; perturbations are on the right, X·Exp(ξ), ξ = (x, y, θ).
+Arrays are float64 or int64 and C-contiguous, others are converted; each family of factors is added in one call with
+one row per factor. Every argument is checked: ValueError names it, ``ranges.sigma: must be positive (row 3)``.
+Results are the same bits on every run. The heavy calls release the GIL; a graph may be read from several threads.
+"""
+
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_Array = NDArray[np.float64]
+_Indices = NDArray[np.int64]
+_Reason = Literal["converged", "stalled", "max_iterations", "failed"]
+
+NONE: int
+HUBER: int
+CAUCHY: int
+HUBER_NEGATIVE: int
+"""Huber where the residual is negative (long NLOS range, weak RSSI), quadratic elsewhere; scalar factors only."""
+CAUCHY_NEGATIVE: int
+"""Cauchy where the residual is negative, quadratic elsewhere; scalar factors only."""
+
+@final
+class Solution:
+    """What an optimisation found, one entry per start; :meth:`Graph.solve` has B = 1."""
+
+    @property
+    def poses(self) -> _Array:
+        """(B, N, 3)."""
+    @property
+    def cost(self) -> _Array:
+        """(B,), ½ Σ ρ(eᵀΩe) + Σ priors."""
+    @property
+    def iterations(self) -> _Indices:
+        """(B,), linear systems solved."""
+    @property
+    def reason(self) -> list[_Reason]:
+        """(B,), why it stopped.
+
+        ``converged``: the last step was below the tolerance. ``stalled``: no step lowers the cost any more.
+        ``failed``: the cost is not finite, or no damping makes the system regular.
+        """
+    @property
+    def covariance(self) -> _Array | None:
+        """(3m, 3m) of :meth:`Graph.solve`; None from :meth:`Graph.optimize`."""
+
+@final
+class Graph:
+    """N poses on time slots and the factors between them. METHOD §1.
+
+    slots: (N,) int64, time slot of each pose, ≥ 0, any unit; −1 is for fixed poses only (the ``world``).
+    fixed: (N,) bool, constants. Several poses may share a slot, in any order.
+    Factors between free poses have to stay within a slot or between adjacent occupied ones.
+
+    Kernels act on the normalised residual (the Mahalanobis norm of relative poses); ``width`` is in σ.
+    """
+
+    def __init__(self, slots: ArrayLike, fixed: ArrayLike) -> None: ...
+    def add_relative_poses(
+        self,
+        i: ArrayLike,
+        j: ArrayLike,
+        at_i: ArrayLike,
+        at_j: ArrayLike,
+        delta: ArrayLike,
+        information: ArrayLike,
+        kernel: int = 0,
+        width: float = 1.0,
+    ) -> None:
+        """Measured relative poses: e = vec(δ⁻¹ (X_i·B_i)⁻¹ (X_j·B_j)).
+
+        i, j: (M,) poses. at_i, at_j: (M, 3) the B, pose at the measurement's time in the keyframe's frame.
+        delta: (M, 3). information: (M, 3, 3) symmetric positive semi-definite.
+        """
+    def add_odometry(self, i: ArrayLike, j: ArrayLike, delta: ArrayLike, information: ArrayLike) -> None:
+        """As :meth:`add_relative_poses` without offsets and kernel."""
+    def add_ranges(
+        self,
+        i: ArrayLike,
+        j: ArrayLike,
+        at_i: ArrayLike,
+        at_j: ArrayLike,
+        height: ArrayLike,
+        range: ArrayLike,
+        sigma: ArrayLike,
+        kernel: int = 0,
+        width: float = 1.0,
+    ) -> None:
+        """Metric ranges: e = (d − range)/σ, d = √(|a − b|² + height²). METHOD §2.
+
+        at_i, at_j: (M, 2) antennas in the frames of poses i and j [m]. height: (M,) difference of theirs [m].
+        range, sigma: (M,) [m].
+        """
+    def add_rssi(
+        self,
+        i: ArrayLike,
+        j: ArrayLike,
+        at_i: ArrayLike,
+        at_j: ArrayLike,
+        height: ArrayLike,
+        rssi: ArrayLike,
+        rssi_at_1m: ArrayLike,
+        exponent: ArrayLike,
+        sigma: ArrayLike,
+        kernel: int = 0,
+        width: float = 1.0,
+    ) -> None:
+        """Signal strengths: e = (RSSI − (A − 10 η log₁₀ max(d, 0.1)))/σ. METHOD §2.
+
+        at_i, at_j, height: as in :meth:`add_ranges`. rssi, rssi_at_1m: (M,) [dBm]. exponent: (M,) η.
+        sigma: (M,) [dB].
+        """
+    def add_bearings(
+        self,
+        observer: ArrayLike,
+        target: ArrayLike,
+        at_observer: ArrayLike,
+        at_target: ArrayLike,
+        bearing: ArrayLike,
+        sigma: ArrayLike,
+        kernel: int = 0,
+        width: float = 1.0,
+    ) -> None:
+        """Bearings: e = wrap(angle of the target's point in the frame X_observer·B − bearing)/σ.
+
+        observer, target: (M,) poses. at_observer: (M, 3) the B. at_target: (M, 2) [m] in the target's frame.
+        bearing, sigma: (M,) [rad].
+        """
+    def add_prior(
+        self,
+        reference: int,
+        members: ArrayLike,
+        relative: ArrayLike,
+        information: ArrayLike,
+        gradient: ArrayLike,
+    ) -> None:
+        """Dense prior, as :meth:`marginalize` leaves it: ½ δᵀHδ + gᵀδ, δ_j = vec(Z_j⁻¹ X_ref⁻¹ X_j). METHOD §1.
+
+        reference: pose, or −1 for a prior on the members' own poses. members: (m,) poses. relative: (m, 3) the Z.
+        information: (3m, 3m) symmetric. gradient: (3m,).
+        """
+    def optimize(
+        self,
+        initial: ArrayLike,
+        max_iterations: int = 50,
+        step_tolerance: float = 1e-9,
+        initial_damping: float = 1e-6,
+    ) -> Solution:
+        """Levenberg–Marquardt from each of B starts (B, N, 3), independently. METHOD §5.
+
+        step_tolerance: largest component of the last step [m, rad]. A graph without a gauge is fine.
+        """
+    def solve(
+        self,
+        initial: ArrayLike,
+        select: ArrayLike,
+        max_iterations: int = 50,
+        step_tolerance: float = 1e-9,
+        initial_damping: float = 1e-6,
+    ) -> Solution:
+        """Optimise from one start (N, 3), with the joint covariance of the selected poses (m,) at the optimum.
+
+        The cheapest way to have both. Raises ValueError when the graph leaves a pose undetermined.
+        """
+    def cost(self, poses: ArrayLike) -> float:
+        """½ Σ ρ(eᵀΩe) + Σ priors at the poses (N, 3)."""
+    def residuals(self, poses: ArrayLike) -> list[tuple[str, _Array]]:
+        """Per call of ``add_*``, in order: kind and normalised residuals before the kernel.
+
+        ``range``, ``rssi``, ``bearing``: (M, 1), e/σ. ``relative_pose``: (M, 3), Lᵀe with Ω = LLᵀ.
+        ``prior``: (m, 3), the displacement δ itself [m, m, rad].
+        """
+    def covariance(self, poses: ArrayLike, select: ArrayLike) -> _Array:
+        """Joint covariance (3m, 3m) of the selected poses (m,), linearised at the poses (N, 3), in their right tangents.
+
+        Robust factors count with their weights ρ'. Fixed poses have zero blocks. Cheap for poses of the last slots.
+        Raises ValueError when the graph leaves a pose undetermined.
+        """
+    def marginalize(self, poses: ArrayLike, slot: int) -> tuple[_Indices, _Array, _Array]:
+        """Schur complement of the free poses before ``slot``, from the factors that touch one of them. METHOD §1.
+
+        Linearised at the poses (N, 3), robust weights frozen. Returns the kept poses (k,), ascending: the free ones
+        those factors touch in ``slot`` or later; information (3k, 3k) and gradient (3k,) of what was eliminated, by
+        their right perturbations. Raises ValueError when an eliminated pose is undetermined.
+        """
+    def gauss_newton_step(self, poses: ArrayLike) -> _Array:
+        """The undamped step (N, 3) as tangents, zero for fixed poses; robust weights as in :meth:`covariance`."""
+    def hessian(self, poses: ArrayLike, exact: bool = False) -> tuple[_Array, _Array]:
+        """Hessian (3F, 3F) and gradient (3F,) over the F free poses by index.
+
+        Gauss–Newton with robust weights, as in :meth:`covariance`; ``exact``: with all second derivatives, of the
+        cost along x += R ξ_xy, θ += ξ_θ.
+        """
+
+def preintegrate(deltas: ArrayLike, covariances: ArrayLike, counts: ArrayLike) -> tuple[_Array, _Array]:
+    """Compose consecutive odometry sub-steps, Σ ← Ad(δ⁻¹) Σ Ad(δ⁻¹)ᵀ + Q. METHOD §1, keyframes.
+
+    deltas: (S, 3). covariances: (S, 6) as xx, xy, xθ, yy, yθ, θθ in the frame at the end of each sub-step.
+    counts: (K,) sizes of the groups, they sum to S; 0 gives the identity and no covariance.
+    Returns deltas (K, 3) and covariances (K, 3, 3) in the frame at the end.
+    """
+
+def chain(start: ArrayLike, deltas: ArrayLike) -> _Array:
+    """start, start·δ₁, start·δ₁·δ₂ …: (3,) and (K, 3) to (K+1, 3)."""
