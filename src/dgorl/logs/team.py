@@ -42,7 +42,7 @@ class Team:
 
 def valid_name(name: object) -> bool:
     """A robot's name stands in CSV rows and file names: letters, digits, `_`, `-` and dots."""
-    return isinstance(name, str) and re.fullmatch(r"[\w-][\w.-]*", name) is not None and name != WORLD
+    return isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name) is not None and name != WORLD
 
 
 def read_team(path: Path) -> Team:
@@ -123,7 +123,7 @@ class _Reader:
         return values
 
     def _number(self, key: str, value: object) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
             raise self.error(key, f"`{key}` must hold finite numbers, got {value!r}")
         return float(value)
 
@@ -163,8 +163,8 @@ class _Reader:
             merge(Configuration(), configuration, "")
         except ConfigurationError as error:
             what = str(error).removeprefix(": ")
-            named = re.search(r"`([\w.-]+)`", what)
-            raise self.error(named[1] if named else "", what) from error
+            named = next((word for word in re.findall(r"[\w.-]+", what) if word in self.lines), "")
+            raise self.error(named, what) from error
         for name in configuration.get("antennas", {}):
             if name not in (*robots, "default"):
                 raise self.error(f"antennas.{name}", f"`antennas` names an unknown robot `{name}`")

@@ -19,6 +19,8 @@ def text_of(path: Path) -> str:
     """The whole file. Raises LogError when it is missing, not readable or not UTF-8 (naming the line)."""
     try:
         data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise LogError(path, None, "no such file; the log needs it") from error
     except OSError as error:
         raise LogError(path, None, f"cannot be read: {error.strerror}") from error
     try:
