@@ -1,0 +1,133 @@
+// Tracks for Python: one call for all robots, never one per reading.
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+#include <stdexcept>
+
+#include "arguments.hpp"
+#include "dgorl/track.hpp"
+
+using namespace nb::literals;
+
+namespace dgorl::bindings {
+namespace {
+
+using TrackPtr = std::shared_ptr<Track>;
+
+constexpr int kRowColumns = 13;  // start, end, epoch, twist?, 3 values, 6 stated covariances or NaN
+
+MotionModel motion_model(nb::handle values) {
+  const Argument<double> v("motion", values, {13});
+  const double* p = v.data();
+  return {p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12]};
+}
+
+void extend(Trail& trail, nb::handle rows) {
+  const Argument<double> table("rows", rows, {kAny, kRowColumns});
+  std::vector<OdometryRow> parsed(static_cast<std::size_t>(table.rows()));
+  const double* p = table.data();
+  for (OdometryRow& row : parsed) {
+    for (int k = 0; k < 7; ++k)
+      if (!std::isfinite(p[k])) throw std::invalid_argument("rows: must be finite");
+    if (!(p[1] > p[0])) throw std::invalid_argument("rows: must end after they start");
+    row = {p[0], p[1], static_cast<std::int64_t>(p[2]), p[3] != 0.0, {p[4], p[5], p[6]}, {}};
+    std::copy(p + 7, p + kRowColumns, row.stated);
+    p += kRowColumns;
+  }
+  trail.extend(parsed);
+}
+
+// Number, keyframe and offset of each stamp on the tracks of its robot; number -1 where no track covers it.
+nb::object locate(const std::vector<Trail*>& trails, nb::handle robots, nb::handle stamps) {
+  const IndexArgument robot("robots", robots);
+  const Argument<double> stamp("stamps", stamps, {robot.rows()});
+  const auto n = static_cast<std::size_t>(robot.rows());
+  std::vector<std::int64_t> number(n, -1), keyframe(n, 0);
+  std::vector<double> offset(3 * n, 0.0);
+  for (std::size_t k = 0; k < n; ++k) {
+    const std::int64_t r = robot.data()[k];
+    if (r < 0 || r >= static_cast<std::int64_t>(trails.size()))
+      throw std::invalid_argument("robots: index out of range");
+    if (trails[r] == nullptr) continue;
+    for (const TrackPtr& track : trails[r]->tracks()) {
+      const double t = stamp.data()[k];
+      if (track->empty() || t < track->begin || t > track->end()) continue;
+      const Location location = track->locate(t);
+      number[k] = track->number;
+      keyframe[k] = location.keyframe;
+      offset[3 * k] = location.offset.x;
+      offset[3 * k + 1] = location.offset.y;
+      offset[3 * k + 2] = location.offset.theta;
+    }
+  }
+  return nb::make_tuple(to_numpy(std::move(number)), to_numpy(std::move(keyframe)),
+                        to_numpy(std::move(offset), {n, 3}));
+}
+
+// Motion and information of the keyframe intervals first[k] ... last[k] of every track, one track after another.
+nb::object odometry(const std::vector<TrackPtr>& tracks, const std::vector<std::int64_t>& first,
+                    const std::vector<std::int64_t>& last) {
+  if (first.size() != tracks.size() || last.size() != tracks.size())
+    throw std::invalid_argument("first, last: must have one entry per track");
+  std::vector<double> delta, information;
+  for (std::size_t k = 0; k < tracks.size(); ++k) {
+    if (first[k] < tracks[k]->first() || last[k] > tracks[k]->last())
+      throw std::invalid_argument("first, last: must be keyframes of the track");
+    for (std::int64_t at = first[k]; at < last[k]; ++at) {
+      const KeyframeInterval& interval = tracks[k]->interval(at);
+      delta.insert(delta.end(), interval.delta.data(), interval.delta.data() + 3);
+      information.insert(information.end(), interval.information.data(), interval.information.data() + 9);
+    }
+  }
+  const std::size_t rows = delta.size() / 3;
+  return nb::make_tuple(to_numpy(std::move(delta), {rows, 3}), to_numpy(std::move(information), {rows, 3, 3}));
+}
+
+// Motion since the newest keyframe to stamp of every track, and its covariance.
+nb::object carried(const std::vector<TrackPtr>& tracks, double stamp, nb::handle motion) {
+  const MotionModel model = motion_model(motion);
+  std::vector<double> delta, covariance;
+  for (const TrackPtr& track : tracks) {
+    const Travelled travelled = track->carried(stamp, model);
+    const Vector3 d = travelled.delta.vec();
+    delta.insert(delta.end(), d.data(), d.data() + 3);
+    covariance.insert(covariance.end(), travelled.covariance.data(), travelled.covariance.data() + 9);
+  }
+  const std::size_t rows = tracks.size();
+  return nb::make_tuple(to_numpy(std::move(delta), {rows, 3}), to_numpy(std::move(covariance), {rows, 3, 3}));
+}
+
+}  // namespace
+
+void bind_tracks(nb::module_& m) {
+  nb::class_<Track>(m, "Track")
+      .def_ro("begin", &Track::begin)
+      .def_ro("epoch", &Track::epoch)
+      .def_rw("number", &Track::number)
+      .def_prop_ro("first", &Track::first)
+      .def_prop_ro("last", &Track::last)
+      .def_prop_ro("end", &Track::end)
+      .def("known", &Track::known, "stamp"_a)
+      .def("newest", &Track::newest, "stamp"_a)
+      .def(
+          "locate",
+          [](const Track& track, double stamp) {
+            const Location at = track.locate(stamp);
+            return nb::make_tuple(at.keyframe, to_numpy(Eigen::VectorXd(at.offset.vec())));
+          },
+          "stamp"_a);
+  nb::class_<Trail>(m, "Trail")
+      .def("__init__",
+           [](Trail* self, nb::handle motion, double silence) { new (self) Trail(motion_model(motion), silence); },
+           "motion"_a, "silence"_a)
+      .def_prop_ro("tracks", &Trail::tracks)
+      .def("extend", &extend, "rows"_a)
+      .def("restart", &Trail::restart)
+      .def("forget", &Trail::forget, "before"_a);
+  m.def("locate", &locate, "trails"_a, "robots"_a, "stamps"_a);
+  m.def("odometry", &odometry, "tracks"_a, "first"_a, "last"_a);
+  m.def("carried", &carried, "tracks"_a, "stamp"_a, "motion"_a);
+}
+
+}  // namespace dgorl::bindings

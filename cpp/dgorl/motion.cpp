@@ -1,0 +1,110 @@
+#include "dgorl/motion.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace dgorl {
+namespace {
+
+double square(double x) { return x * x; }
+
+// sin t / t and (1 - cos t) / t, by series near zero.
+Vector2 sinc_terms(double t) {
+  if (std::abs(t) < 1e-4) return {1.0 - t * t / 6.0, t / 2.0 - t * t * t / 24.0};
+  return {std::sin(t) / t, (1.0 - std::cos(t)) / t};
+}
+
+// Variances grow with time, turning and distance (METHOD section 1, odometry noise of real wheels).
+Matrix3 wheel_noise(const Vector3& delta, double duration, const MotionModel& m) {
+  const double distance = std::hypot(delta.x(), delta.y());
+  const double standing = square(m.position_per_second) * duration;
+  const double heading = square(m.heading_per_second) * duration +
+                         square(m.heading_per_radian) * std::abs(delta.z()) +
+                         square(m.heading_per_metre) * distance;
+  return Vector3(standing + square(m.forward_per_metre) * distance,
+                 standing + square(m.lateral_per_metre) * distance, heading)
+      .asDiagonal();
+}
+
+Matrix3 diagonal(double position, double heading) { return Vector3(position, position, heading).asDiagonal(); }
+
+Matrix3 twist_noise(double age, const MotionModel& m) {
+  return diagonal(square(m.predicted_speed_sigma * age) + square(m.position_per_second) * age,
+                  square(m.predicted_turn_rate_sigma * age) + square(m.heading_per_second) * age);
+}
+
+Matrix3 limit_noise(double gap, const MotionModel& m) {
+  return diagonal(square(m.maximum_speed * gap), square(std::min(m.maximum_turn_rate * gap, kPi)));
+}
+
+Matrix3 unknown_noise(double duration, const MotionModel& m) {
+  return duration <= kHeld ? twist_noise(duration, m) : limit_noise(duration, m);
+}
+
+}  // namespace
+
+Pose exp(const Vector3& twist) {
+  const Vector2 t = sinc_terms(twist.z());
+  return {t.x() * twist.x() - t.y() * twist.y(), t.y() * twist.x() + t.x() * twist.y(), wrap(twist.z())};
+}
+
+Vector3 log(const Vector3& delta) {
+  const double theta = wrap(delta.z());
+  const Vector2 t = sinc_terms(theta);
+  const double d = t.squaredNorm();
+  return {(t.x() * delta.x() + t.y() * delta.y()) / d, (-t.y() * delta.x() + t.x() * delta.y()) / d, theta};
+}
+
+Vector3 part(const Vector3& delta, double share) {
+  if (share >= 1.0) return delta;
+  return exp(log(delta) * share).vec();
+}
+
+Step measured(const OdometryRow& row, const MotionModel& m) {
+  const double duration = row.end - row.start;
+  Vector3 motion(row.values.x() * m.linear_scale, row.values.y() * m.linear_scale,
+                 row.values.z() * m.angular_scale);
+  if (row.twist) motion *= duration;
+  Step step{row.start + m.lag, row.end + m.lag, row.start + m.lag, motion, Matrix3::Zero()};
+  if (row.twist) {
+    step.covariance = wheel_noise(motion, duration, m);
+    step.delta = exp(motion).vec();
+  } else if (std::isnan(row.stated[0])) {
+    step.covariance = wheel_noise(motion, duration, m);
+  } else {
+    const double* q = row.stated;
+    Matrix3 start, turn = Matrix3::Identity();
+    start << q[0], q[1], q[2], q[1], q[3], q[4], q[2], q[4], q[5];
+    turn.topLeftCorner<2, 2>() = Pose(0.0, 0.0, -motion.z()).rotation();
+    step.covariance = turn * start * turn.transpose();
+  }
+  return step;
+}
+
+Step after(const Step& step, double stamp) {
+  const double share = (step.end - stamp) / (step.end - step.start);
+  if (share >= 1.0) return {stamp, step.end, step.origin, step.delta, step.covariance};
+  return {stamp, step.end, step.origin, exp(log(step.delta) * share).vec(), step.covariance * share};
+}
+
+Step bridge(const Vector3& twist, double start, double end, double origin, const MotionModel& m) {
+  const double gap = end - start;
+  const Vector3 delta = gap <= kHeld ? exp(twist * gap).vec() : Vector3::Zero();
+  return {start, end, origin, delta, unknown_noise(gap, m)};
+}
+
+Step predict(const Vector3& twist, double start, double end, const MotionModel& m) {
+  const double age = end - start;
+  return {start, end, start, exp(twist * age).vec(), unknown_noise(age, m)};
+}
+
+void Travelled::append(const Pose& d, const Matrix3& q) {
+  const Vector2 turn = d.unrotate(quarter_turn(d.position()));
+  Matrix3 back;  // Ad(d^-1): moves a right perturbation from before d to after it
+  back << d.c, d.s, turn.x(), -d.s, d.c, turn.y(), 0.0, 0.0, 1.0;
+  const Matrix3 moved = back * covariance * back.transpose() + q;
+  covariance = 0.5 * (moved + moved.transpose());
+  delta = delta * d;
+}
+
+}  // namespace dgorl

@@ -1,0 +1,144 @@
+#include "dgorl/track.hpp"
+
+#include <Eigen/LU>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace dgorl {
+namespace {
+
+constexpr double kRounding = 1e-6;  // odometry nearer than this [s] follows on: the resolution of stamps
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+std::int64_t grid(double stamp) { return static_cast<std::int64_t>(std::floor(stamp * kKeyframesPerSecond)); }
+
+double share_at(const Step& step, double stamp) {
+  return std::clamp((stamp - step.start) / (step.end - step.start), 0.0, 1.0);
+}
+
+}  // namespace
+
+Track::Track(double begin_, std::int64_t epoch_) : begin(begin_), epoch(epoch_), first_(grid(begin_)) {}
+
+double Track::end() const { return pieces_.empty() ? begin : pieces_.back().step.end; }
+
+Vector3 Track::twist() const {
+  if (pieces_.empty()) return Vector3::Zero();
+  const Step& step = pieces_.back().step;
+  return log(step.delta) / (step.end - step.start);
+}
+
+double Track::known(double stamp) const {
+  const auto next = std::lower_bound(pieces_.begin(), pieces_.end(), stamp,
+                                     [](const Piece& p, double t) { return p.step.origin < t; });
+  return next == pieces_.begin() ? -kInfinity : std::min(std::prev(next)->step.end, stamp);
+}
+
+std::int64_t Track::newest(double stamp) const {
+  const double until = known(stamp);
+  return std::isfinite(until) ? std::max(grid(until), first_) : first_;
+}
+
+void Track::append(const Step& step) {
+  double start = step.start;
+  for (std::int64_t k = grid(start); start < step.end; ++k) {
+    const double border = static_cast<double>(k + 1) / kKeyframesPerSecond;
+    const double end = std::min(step.end, border);
+    const double share = (end - start) / (step.end - step.start);
+    const Step piece{start, end, step.origin, part(step.delta, share), step.covariance * share};
+    pieces_.push_back({piece, k, open_.delta});
+    open_.append(Pose(piece.delta.data()), piece.covariance);
+    if (end == border) {
+      const Matrix3 information = open_.covariance.inverse();
+      intervals_.push_back({open_.delta.vec(), 0.5 * (information + information.transpose())});
+      open_ = Travelled();
+    }
+    start = end;
+  }
+}
+
+Location Track::locate(double stamp) const {
+  const std::int64_t keyframe = std::max(grid(stamp), first_);
+  auto next = std::upper_bound(pieces_.begin(), pieces_.end(), stamp,
+                               [](double t, const Piece& p) { return t < p.step.start; });
+  if (next == pieces_.begin()) return {keyframe, Pose()};
+  const Piece& piece = *std::prev(next);
+  if (piece.keyframe != keyframe) return {keyframe, Pose()};
+  return {keyframe, piece.offset * Pose(part(piece.step.delta, share_at(piece.step, stamp)).data())};
+}
+
+Travelled Track::carried(double stamp, const MotionModel& model) const {
+  const double until = std::max(known(stamp), begin);
+  Travelled sum;
+  const std::int64_t keyframe = newest(stamp);
+  auto piece = std::lower_bound(pieces_.begin(), pieces_.end(), keyframe,
+                                [](const Piece& p, std::int64_t k) { return p.keyframe < k; });
+  for (; piece != pieces_.end() && piece->step.start < until; ++piece) {
+    const double share = share_at(piece->step, until);
+    sum.append(Pose(part(piece->step.delta, share).data()), piece->step.covariance * share);
+  }
+  if (stamp > until) {
+    const Step ahead = predict(twist(), until, stamp, model);
+    sum.append(Pose(ahead.delta.data()), ahead.covariance);
+  }
+  return sum;
+}
+
+void Track::forget(std::int64_t before) {
+  before = std::min(before, last());
+  if (before <= first_) return;
+  const auto keep = std::lower_bound(pieces_.begin(), pieces_.end(), before,
+                                     [](const Piece& p, std::int64_t k) { return p.keyframe < k; });
+  pieces_.erase(pieces_.begin(), keep == pieces_.end() ? std::prev(keep) : keep);
+  intervals_.erase(intervals_.begin(), intervals_.begin() + (before - first_));
+  first_ = before;
+}
+
+std::shared_ptr<Track> Track::restarted() const {
+  auto track = std::make_shared<Track>(begin, epoch);
+  track->first_ = first_;
+  track->number = number;
+  return track;
+}
+
+void Trail::extend(const std::vector<OdometryRow>& rows) {
+  for (const OdometryRow& row : rows) {
+    Step step = measured(row, model_);
+    Track* track = tracks_.empty() ? nullptr : tracks_.back().get();
+    const bool begun = track != nullptr && !track->empty();
+    const double floor = begun ? track->end()
+                         : track ? static_cast<double>(track->first()) / kKeyframesPerSecond
+                                 : -kInfinity;
+    if (step.end <= floor + kRounding) continue;
+    if (step.start < floor - kRounding) step = after(step, floor);
+    const double gap = begun ? step.start - floor : 0.0;
+    if (!track || (begun && (row.epoch != track->epoch || gap > silence_))) {
+      tracks_.push_back(std::make_shared<Track>(step.start, row.epoch));
+      track = tracks_.back().get();
+    } else if (begun && gap > kRounding) {
+      track->append(bridge(track->twist(), floor, step.start, step.start, model_));
+    } else if (begun) {
+      step.start = floor;
+    }
+    track->append(step);
+  }
+}
+
+void Trail::restart() {
+  tracks_.clear();
+  if (root_) tracks_.push_back(root_->restarted());
+}
+
+void Trail::forget(std::int64_t before) {
+  const double stamp = static_cast<double>(before) / kKeyframesPerSecond;
+  std::vector<std::shared_ptr<Track>> kept;
+  for (const auto& track : tracks_)
+    if (track->end() >= stamp || track == tracks_.back()) kept.push_back(track);
+  for (const auto& track : kept) track->forget(before);
+  tracks_ = std::move(kept);
+  if (!tracks_.empty()) root_ = tracks_.front()->restarted();
+}
+
+}  // namespace dgorl

@@ -1,0 +1,91 @@
+// Tracks: a robot's trajectory in one epoch, as keyframes joined by preintegrated odometry. METHOD section 1.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "dgorl/motion.hpp"
+
+namespace dgorl {
+
+// Where a stamp falls on a track: keyframe index, and pose in that keyframe's frame.
+struct Location {
+  std::int64_t keyframe;
+  Pose offset;
+};
+
+struct KeyframeInterval {
+  Vector3 delta;
+  Matrix3 information;
+};
+
+// Steps rising in time, cut at the keyframes; keyframe k stands at k / 2 s. Before its first odometry a robot stands
+// still: the first keyframe is the last grid time at or before begin.
+class Track {
+ public:
+  Track(double begin, std::int64_t epoch);
+
+  const double begin;
+  const std::int64_t epoch;
+  std::int64_t number = -1;  // what the caller's arrays call this track
+
+  bool empty() const { return pieces_.empty(); }
+  std::int64_t first() const { return first_; }
+  std::int64_t last() const { return first_ + static_cast<std::int64_t>(intervals_.size()); }
+  double end() const;
+  Vector3 twist() const;
+
+  // Until when odometry that began before stamp tells of this track, at most stamp; -infinity if none does.
+  double known(double stamp) const;
+  // The newest keyframe known from odometry that began before stamp.
+  std::int64_t newest(double stamp) const;
+  const KeyframeInterval& interval(std::int64_t keyframe) const { return intervals_[keyframe - first_]; }
+
+  // Takes a step that follows on; completes the keyframe intervals it ends.
+  void append(const Step& step);
+  // Stamps between begin and end.
+  Location locate(double stamp) const;
+  // Motion since the newest keyframe to stamp, predicted where odometry has not come yet.
+  Travelled carried(double stamp, const MotionModel& model) const;
+  // Drops what lies before a keyframe; the track keeps its name.
+  void forget(std::int64_t before);
+  // An empty track of the same name whose first keyframe is that one.
+  std::shared_ptr<Track> restarted() const;
+
+ private:
+  struct Piece {
+    Step step;
+    std::int64_t keyframe;
+    Pose offset;  // pose at its start in the keyframe's frame
+  };
+
+  std::int64_t first_;
+  std::vector<Piece> pieces_;
+  std::vector<KeyframeInterval> intervals_;
+  Travelled open_;  // since the last keyframe
+};
+
+// All tracks of one robot, from its odometry in canonical order.
+class Trail {
+ public:
+  Trail(const MotionModel& model, double silence) : model_(model), silence_(silence) {}
+
+  const std::vector<std::shared_ptr<Track>>& tracks() const { return tracks_; }
+  const MotionModel& model() const { return model_; }
+
+  // Appends rows that follow on: overlap is cut off, short gaps are bridged, a new epoch or a gap longer than the
+  // silence begins a new track.
+  void extend(const std::vector<OdometryRow>& rows);
+  // Forgets all steps, to be built anew; what was dropped for good stays named.
+  void restart();
+  void forget(std::int64_t before);
+
+ private:
+  MotionModel model_;
+  double silence_;
+  std::vector<std::shared_ptr<Track>> tracks_;
+  std::shared_ptr<Track> root_;
+};
+
+}  // namespace dgorl

@@ -1,0 +1,7 @@
+"""``python -m dgorl``."""
+
+import sys
+
+from dgorl.cli.main import main
+
+sys.exit(main())

@@ -1,0 +1,39 @@
+"""Arrays that grow at the end and are cut at the front, as history does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+
+class Column:
+    """A NumPy array with amortised appends; ``view`` is the live part, (N, *shape)."""
+
+    def __init__(self, shape: tuple[int, ...] = (), dtype: DTypeLike = float) -> None:
+        self._data: NDArray[Any] = np.zeros((16, *shape), dtype)
+        self._size = 0
+
+    @property
+    def view(self) -> NDArray[Any]:
+        return self._data[: self._size]
+
+    def extend(self, rows: NDArray[Any]) -> None:
+        size = self._size + len(rows)
+        if size > len(self._data):
+            grown = np.zeros((2 * size, *self._data.shape[1:]), self._data.dtype)
+            grown[: self._size] = self.view
+            self._data = grown
+        self._data[self._size : size] = rows
+        self._size = size
+
+    def rearrange(self, first: int, rows: NDArray[np.int64]) -> None:
+        """Replace everything from row ``first`` on by the given rows, in the given order."""
+        self._data[first : first + len(rows)] = self.view[rows]
+        self._size = first + len(rows)
+
+    def drop(self, count: int) -> None:
+        """Drop the first ``count`` rows."""
+        self._data = self.view[count:].copy()
+        self._size = len(self._data)

@@ -1,0 +1,88 @@
+"""What a Localizer answers: every peer's relative pose with covariance and an honest status. METHOD §3."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from dgorl.se2 import Array
+
+
+class Status(StrEnum):
+    """What is known of a peer."""
+
+    ISOLATED = "isolated"
+    AMBIGUOUS = "ambiguous"
+    UNOBSERVABLE = "unobservable"
+    POSITION = "position"
+    TRACKED = "tracked"
+
+
+@dataclass(frozen=True)
+class PeerEstimate:
+    """One peer in the ego's body frame (x forward, y left) at the estimate's stamp.
+
+    pose: (3,) of x, y, theta [m, m, rad], None while isolated or ambiguous without a guess. covariance: (3, 3) of
+    (x, y, theta) in the ego's frame. probability: of the best hypothesis. age: since its last odometry [s]. reason: why not tracked; resolve_by: what would help.
+    """
+
+    pose: Array | None
+    covariance: Array | None
+    status: Status
+    probability: float
+    age: float
+    reason: str = ""
+    resolve_by: str = ""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """The newest measurement of one kind between two robots; residual in σ, weight 0 (outlier) to 1."""
+
+    a: str
+    b: str
+    kind: str
+    stamp: float
+    residual: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class OptimizedGraph:
+    """The paper's G_o = (V_o, E_o, A_o): poses (3,) in the ego's frame, edges, adjacency (n, n).
+
+    ``adjacency`` counts the measurements of the window between each two of the robots, sorted by name.
+    """
+
+    poses: Mapping[str, Array]
+    edges: tuple[Edge, ...]
+    adjacency: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate(Mapping[str, PeerEstimate]):
+    """What ``robot`` knows of its peers at ``stamp`` [s]; a mapping from peer to PeerEstimate.
+
+    rejected: measurements turned down since the start, by reason.
+    """
+
+    robot: str
+    stamp: float
+    peers: Mapping[str, PeerEstimate]
+    rejected: Mapping[str, int]
+    _graph: Callable[[], OptimizedGraph] = field(repr=False, compare=False)
+
+    def __getitem__(self, peer: str) -> PeerEstimate:
+        return self.peers[peer]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.peers)
+
+    def __len__(self) -> int:
+        return len(self.peers)
+
+    @property
+    def graph(self) -> OptimizedGraph:
+        """The optimised graph behind this estimate."""
+        return self._graph()

@@ -1,0 +1,221 @@
+"""What is known: measurements admitted, the tracks they make, and what robots measured of one another. METHOD §1.
+
+The history is a set: order of arrival and duplicates leave no trace in it.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections import Counter
+from collections.abc import Iterable
+from math import inf
+
+import numpy as np
+
+from dgorl import se2
+from dgorl.configuration import Configuration
+from dgorl.measurements import (
+    WORLD,
+    Bearing,
+    Displacement,
+    Measurement,
+    Odometry,
+    Range,
+    RelativePose,
+    Rssi,
+    known_at,
+)
+from dgorl.sightings import Reading, Table
+from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey, Trail, motion_values
+
+WORLD_KEY = TrackKey(WORLD, 0, -inf)
+"""Names the member that never moves, among the tracks."""
+
+LATE = 10.0
+"""Data later than this [s] waits for the next node time, so that a laggard costs one rewind per node."""
+
+DEFAULT_SILENCE = 30.0
+"""Without a bounded window, a robot silent for longer than this [s] begins a new track."""
+
+
+class History:
+    """Admits measurements and keeps them as tracks and tables; ``rejected`` counts the others by reason."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self.configuration = configuration
+        self.rejected: Counter[str] = Counter()
+        self.trails: dict[str, Trail] = {}
+        self.tables = {
+            "rssi": Table("rssi", configuration.radio.thinning, directed=True),
+            "range": Table("range", configuration.ranging.thinning, directed=False),
+            "bearing": Table("bearing", configuration.bearings.thinning, directed=True),
+        }
+        self.poses: list[RelativePose] = []
+        self.numbers: dict[TrackKey, int] = {}
+        self.motion = motion_values(configuration.motion)
+        self._heard: dict[str, int] = {}
+        self._inbox: list[tuple[float, int, Measurement]] = []
+        self._count = 0
+        self._seen: set[Measurement] = set()
+        window = configuration.window
+        self._silence = DEFAULT_SILENCE if window == "all" else float(window)
+
+    def add(self, measurement: Measurement) -> None:
+        """Take a measurement, own or received, in any order, twice without harm."""
+        self._count += 1
+        item = (known_at(measurement), self._count, measurement)
+        if not self._inbox or item > self._inbox[-1]:
+            self._inbox.append(item)
+        else:
+            bisect.insort(self._inbox, item)
+
+    def admit(self, now: float, node_due: bool) -> float:
+        """Admit what is known at ``now``; the earliest time [s] at which anything changed, infinity if nothing did.
+
+        What is later than ``history`` is rejected; what is later than 10 s waits until a node is due.
+        """
+        ready = bisect.bisect_right(self._inbox, now, key=lambda item: item[0])
+        taken, waiting = self._inbox[:ready], self._inbox[ready:]
+        early = []
+        fresh: dict[Measurement, None] = {}
+        for item in taken:
+            stamp, _, measurement = item
+            if measurement in self._seen:
+                continue
+            if now - stamp > self.configuration.history:
+                self.rejected["too late"] += 1
+            elif now - stamp > LATE and not node_due:
+                early.append(item)
+            else:
+                fresh[measurement] = None
+        self._inbox = early + waiting
+        self._seen.update(fresh)
+        return self._take(list(fresh)) if fresh else inf
+
+    def forget(self, before: float) -> None:
+        """Drop what is older than ``before`` [s], a multiple of the keyframe time."""
+        for trail in self.trails.values():
+            trail.forget(int(np.floor(before * KEYFRAMES_PER_SECOND)))
+        for table in self.tables.values():
+            table.forget(before)
+        self.poses = [pose for pose in self.poses if pose.stamp >= before]
+        self._seen = {m for m in self._seen if known_at(m) >= before}
+
+    @property
+    def tracks(self) -> list[Track]:
+        """All tracks in canonical order."""
+        return sorted(track for trail in self.trails.values() for track in trail.tracks)
+
+    def linked(self, a: Track, b: Track) -> bool:
+        """Whether measurements link two tracks, over others if need be, since both began."""
+        begin = {a.key.robot: a.key.begin, b.key.robot: b.key.begin}
+        reached, edges = {a.key.robot}, set()
+        for table in self.tables.values():
+            rows, names = table.between(-inf, inf)
+            edges |= {
+                pair for pair, stamp in zip(names, rows.stamp, strict=True)
+                if stamp >= max(begin.get(pair[0], -inf), begin.get(pair[1], -inf))
+            }  # fmt: skip
+        while True:
+            more = {y for x, y in (*edges, *((q, p) for p, q in edges)) if x in reached} - reached
+            if not more:
+                return b.key.robot in reached
+            reached |= more
+
+    def antenna(self, robot: str) -> tuple[float, float, float]:
+        """Where a robot's antenna stands in its body frame [m]."""
+        antennas = self.configuration.antennas
+        return antennas.get(robot, antennas.get("default", (0.0, 0.0, 0.0)))
+
+    def placed(self, pose: RelativePose) -> tuple[TrackKey, TrackKey, float, float] | None:
+        """Tracks of reference and robot and the stamp on each, if both have odometry there.
+
+        A known start holds for the track that covers its stamp, or the first one to begin after it.
+        """
+        ends = []
+        for name in (pose.reference, pose.robot):
+            if name == WORLD:
+                ends.append((WORLD_KEY, pose.stamp))
+                continue
+            trail = self.trails.get(name)
+            track = trail.at(pose.stamp) if trail else None
+            stamp = pose.stamp
+            if (track is None or track.end < stamp) and trail and pose.prior:
+                later = [t for t in trail.tracks if t.key.begin > stamp]
+                track = later[0] if later else None
+                stamp = track.key.begin if track else stamp
+            if track is None or track.end < stamp:
+                return None
+            ends.append((track.key, stamp))
+        (reference, stamp_a), (robot, stamp_b) = ends
+        if reference != WORLD_KEY and abs(stamp_a - stamp_b) > 1 / KEYFRAMES_PER_SECOND:
+            return None
+        return reference, robot, stamp_a, stamp_b
+
+    def _take(self, fresh: list[Measurement]) -> float:
+        dirty = inf
+        odometry: dict[str, list[Odometry | Displacement]] = {}
+        readings: dict[str, list[Reading]] = {"rssi": [], "range": [], "bearing": []}
+        for m in fresh:
+            match m:
+                case Odometry() | Displacement():
+                    odometry.setdefault(m.robot, []).append(m)
+                    dirty = min(dirty, m.start + self.configuration.motion.lag)
+                case RelativePose():
+                    bisect.insort(self.poses, m, key=_pose_order)
+                    dirty = min(dirty, m.stamp)
+                case Rssi():
+                    readings["rssi"].append(self._rssi(m))
+                case Range():
+                    readings["range"].append(self._range(m))
+                case Bearing():
+                    readings["bearing"].append(self._bearing(m))
+        for robot in sorted(odometry):
+            if robot not in self.trails:
+                self.trails[robot] = Trail(robot, self.configuration.motion, self._silence)
+            in_order = self.trails[robot].add(odometry[robot])
+            for track in self.trails[robot].tracks:
+                track.core.number = self.numbers.setdefault(track.key, len(self.numbers))
+            if not in_order:
+                for table in self.tables.values():
+                    table.displace(robot)
+        for rows in readings.values():
+            for reading in rows:
+                self._heard.setdefault(reading.a, len(self._heard))
+                self._heard.setdefault(reading.b, len(self._heard))
+        trails = [self.trails[name].core if name in self.trails else None for name in self._heard]
+        for kind, table in self.tables.items():
+            dirty = min(dirty, table.add(readings[kind]))
+            table.place(trails, self._heard)
+        return dirty
+
+    def _rssi(self, m: Rssi) -> Reading:
+        """METHOD §2: both directions share their shadowing, so each counts for less (correlation ρ)."""
+        radio = self.configuration.radio
+        sigma = radio.sigma_db * float(np.sqrt(1.0 + radio.reciprocity))
+        return Reading(m.stamp, m.transmitter, m.receiver, m.dbm, sigma)
+
+    def _range(self, m: Range) -> Reading:
+        ranging = self.configuration.ranging
+        value = max(ranging.scale * m.range + ranging.offset, 0.0)
+        sigma = m.sigma if ranging.sigma is None else ranging.sigma + ranging.sigma_per_metre * value
+        return Reading(m.stamp, m.robot, m.peer, value, sigma or DEFAULT_RANGE_SIGMA, m.exchange)
+
+    def _bearing(self, m: Bearing) -> Reading:
+        bearings = self.configuration.bearings
+        value = float(se2.wrap(m.bearing + bearings.offset))
+        sigma = m.sigma if bearings.sigma is None else bearings.sigma
+        return Reading(m.stamp, m.observer, m.target, value, sigma or DEFAULT_BEARING_SIGMA)
+
+
+DEFAULT_RANGE_SIGMA = 0.15
+"""σ of a range [m] when neither the measurement nor the configuration states one: UWB."""
+
+DEFAULT_BEARING_SIGMA = 0.05
+"""σ of a bearing [rad] when neither the measurement nor the configuration states one."""
+
+
+def _pose_order(pose: RelativePose) -> tuple[object, ...]:
+    return (pose.stamp, pose.reference, pose.robot, pose.x, pose.y, pose.theta, *pose.covariance, pose.prior)
+
+

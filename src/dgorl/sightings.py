@@ -1,0 +1,178 @@
+"""Tables of what robots measured of one another, in canonical order, placed on the robots' tracks.
+
+One row per measurement that counts: exchanges reported by both ends count once, and thinning keeps the reading
+nearest the centre of each bin (METHOD §1, §2). A bin is open on the left and closed on the right, so that node times
+fall between bins.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgorl import _core
+from dgorl.columns import Column
+from dgorl.se2 import Array
+
+UNPLACED = -1
+
+
+Order = tuple[float, str, str, float, float]
+
+
+class Reading(NamedTuple):
+    """One scalar measurement: sorts canonically. ``a`` measured or transmits as the kind says, ``b`` is the other."""
+
+    stamp: float
+    a: str
+    b: str
+    value: float
+    sigma: float
+    exchange: int | None = None
+
+    @property
+    def order(self) -> Order:
+        return self[:5]
+
+
+class Rows(NamedTuple):
+    """Rows of a table: stamps, values and σ (M,), where both ends stand on their tracks."""
+
+    stamp: Array
+    value: Array
+    sigma: Array
+    track_a: NDArray[np.int64]
+    track_b: NDArray[np.int64]
+    keyframe_a: NDArray[np.int64]
+    keyframe_b: NDArray[np.int64]
+    offset_a: Array
+    offset_b: Array
+
+
+class Table:
+    """All readings of one kind.
+
+    directed: whether a→b and b→a are thinned apart. placed rows name tracks by the integer ``number`` gives them.
+    """
+
+    def __init__(self, kind: str, thinning: float, directed: bool) -> None:
+        self.kind = kind
+        self._thinning, self._directed = thinning, directed
+        self._order: list[Order] = []
+        self._names: list[tuple[str, str]] = []
+        self._best: dict[tuple[object, ...], tuple[tuple[object, ...], Reading]] = {}
+        numbers = [Column((), np.int64) for _ in range(4)]
+        self._columns = (Column(), Column(), Column(), *numbers, Column((3,)), Column((3,)))  # as in Rows
+        self._unplaced: set[int] = set()
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    def add(self, readings: Iterable[Reading]) -> float:
+        """Take readings; the earliest stamp [s] from which rows changed, infinity if none did."""
+        dirty = np.inf
+        fresh: dict[tuple[object, ...], Reading] = {}
+        removed = []
+        for reading in readings:
+            slot, merit = self._slot(reading)
+            rival = self._best.get(slot)
+            if rival is not None:
+                if rival[0] <= merit:
+                    continue
+                if fresh.pop((rival[1].order, slot), None) is None:
+                    removed.append(rival[1].order)
+                dirty = min(dirty, rival[1].stamp)
+            if slot[0] != "each":
+                self._best[slot] = (merit, reading)
+            fresh[reading.order, slot] = reading
+            dirty = min(dirty, reading.stamp)
+        if removed:
+            self._remove(removed)
+        if fresh:
+            self._insert(sorted(fresh.values(), key=lambda r: r.order))
+        return dirty
+
+    def place(self, trails: list[_core.Trail | None], number: Mapping[str, int]) -> None:
+        """Find keyframe and offset of both ends of every row that has none yet.
+
+        trails: the robots' trails; number: which of them is whose.
+        """
+        if not self._unplaced:
+            return
+        rows = np.array(sorted(self._unplaced), dtype=np.int64)
+        stamps = self._columns[0].view[rows]
+        for end in (0, 1):
+            robots = np.array([number[self._names[row][end]] for row in rows], dtype=np.int64)
+            for column, found in zip((3, 5, 7), _core.locate(trails, robots, stamps), strict=True):
+                self._columns[column + end].view[rows] = found
+        done = (self._columns[3].view[rows] != UNPLACED) & (self._columns[4].view[rows] != UNPLACED)
+        self._unplaced.difference_update(rows[done].tolist())
+
+    def displace(self, robot: str) -> None:
+        """The tracks of ``robot`` were rebuilt: place its rows anew."""
+        self._unplaced.update(row for row, names in enumerate(self._names) if robot in names)
+
+    def between(self, low: float, high: float) -> tuple[Rows, list[tuple[str, str]]]:
+        """Views of the rows with low ≤ stamp ≤ high, and the names (a, b) of each."""
+        first = bisect.bisect_left(self._order, low, key=lambda order: order[0])
+        last = bisect.bisect_right(self._order, high, key=lambda order: order[0])
+        return Rows(*(column.view[first:last] for column in self._columns)), self._names[first:last]
+
+    def forget(self, before: float) -> None:
+        """Drop rows stamped before ``before`` [s]."""
+        first = bisect.bisect_left(self._order, before, key=lambda order: order[0])
+        if first:
+            del self._order[:first], self._names[:first]
+            for column in self._columns:
+                column.drop(first)
+            self._unplaced = {row - first for row in self._unplaced if row >= first}
+            self._best = {slot: best for slot, best in self._best.items() if best[1].stamp >= before}
+
+    def _slot(self, reading: Reading) -> tuple[tuple[object, ...], tuple[object, ...]]:
+        """What the reading competes for, and its merit there (smallest wins)."""
+        stamp, a, b = reading.stamp, reading.a, reading.b
+        pair = (a, b) if self._directed or a < b else (b, a)
+        if self._thinning > 0:
+            index = np.ceil(stamp / self._thinning) - 1
+            distance = abs(stamp - (index + 0.5) * self._thinning)
+            return ("bin", pair, index), (distance, reading.order)
+        if reading.exchange is not None:
+            return ("exchange", pair, reading.exchange), reading.order
+        return ("each",), ()
+
+    def _insert(self, readings: list[Reading]) -> None:
+        in_order = not self._order or readings[0].order >= self._order[-1]
+        base = len(self._order)
+        count = len(readings)
+        self._order.extend(r.order for r in readings)
+        self._names.extend((r.a, r.b) for r in readings)
+        for column, values in zip(self._columns[:3], (0, 3, 4), strict=True):
+            column.extend(np.array([r[values] for r in readings]))
+        for column in self._columns[3:5]:
+            column.extend(np.full(count, UNPLACED))
+        for column in self._columns[5:7]:
+            column.extend(np.zeros(count, np.int64))
+        for column in self._columns[7:]:
+            column.extend(np.zeros((count, 3)))
+        self._unplaced.update(range(base, base + count))
+        if not in_order:
+            first = bisect.bisect_left(self._order, readings[0].order, hi=base)
+            self._rearrange(first, sorted(range(first, base + count), key=self._order.__getitem__))
+
+    def _remove(self, orders: list[Order]) -> None:
+        gone = {bisect.bisect_left(self._order, order) for order in orders}
+        first = min(gone)
+        self._rearrange(first, [row for row in range(first, len(self._order)) if row not in gone])
+
+    def _rearrange(self, first: int, rows: list[int]) -> None:
+        """Replace everything from row ``first`` on by the given rows, in the given order."""
+        self._order[first:] = [self._order[row] for row in rows]
+        self._names[first:] = [self._names[row] for row in rows]
+        for column in self._columns:
+            column.rearrange(first, np.array(rows, dtype=np.int64))
+        moved = {old: first + k for k, old in enumerate(rows) if old in self._unplaced}
+        self._unplaced = {row for row in self._unplaced if row < first} | set(moved.values())
