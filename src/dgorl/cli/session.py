@@ -1,0 +1,103 @@
+"""What ``run`` and ``demo`` share: replay a log with a progress bar, write its results, print the table."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from dgorl.cli.table import show
+from dgorl.configuration import Configuration, load, merge
+from dgorl.errors import DgorlError, MissingExtraError
+from dgorl.evaluation import output
+from dgorl.evaluation.records import collect
+from dgorl.logs.log import KINDS, Log
+from dgorl.plotting.figures import write_figures
+from dgorl.replay import Replay, Tick, replay
+
+
+@dataclass(frozen=True)
+class Session:
+    """A log and how to localise it; ``config`` is a YAML file, ``changes`` the command line's settings."""
+
+    log: Log
+    config: Path | None
+    changes: Mapping[str, Any]
+    initial: str
+    egos: tuple[str, ...]
+    out: Path
+
+    def configuration(self) -> Configuration:
+        """Defaults < the log's own settings < YAML file < command line. Raises ConfigurationError."""
+        configuration = merge(Configuration(), self.log.configuration, str(self.log.path))
+        if self.config is not None:
+            configuration = merge(configuration, load(self.config), str(self.config))
+        return merge(configuration, self.changes, "command line")
+
+
+def default_folder(log: Path) -> Path:
+    """out/NAME OF THE LOG."""
+    return Path("out") / (log.resolve().stem if log.is_file() else log.resolve().name)
+
+
+def report(session: Session, *, json_wanted: bool) -> None:
+    """Localise, write everything, print the table; as JSON on stdout if wanted, the words on stderr then."""
+    errors = Console(stderr=True, highlight=False)
+    words = errors if json_wanted else Console(highlight=False)
+    summary, pictures = localize(session, errors)
+    show(summary, words)
+    words.print(f"Results: {session.out}", soft_wrap=True, markup=False)
+    if pictures:
+        more = f" and {len(pictures) - 1} more beside it" if len(pictures) > 1 else ""
+        words.print(f"Pictures: {pictures[0]}{more}", soft_wrap=True, markup=False)
+    if json_wanted:
+        json.dump(summary, sys.stdout, ensure_ascii=False, allow_nan=False)
+        print()
+
+
+def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Path]]:
+    """Replay a session's log and write its folder; returns the summary and the pictures.
+
+    Raises DgorlError; without matplotlib there are no pictures and a hint on ``errors``.
+    """
+    log, configuration = session.log, session.configuration()
+    if session.initial != "known":
+        raise DgorlError("unknown starts are not supported yet; use --initial known")
+    ticks = replay(log, configuration, initial=session.initial, egos=session.egos or None)
+    if not len(ticks):
+        period = configuration.period
+        raise DgorlError(f"{log.path}: nothing to localise: it ends within one period of {period} s")
+    output.prepare(session.out)
+    records = collect(_watched(ticks, errors), log.truth)
+    about = {
+        "log": str(log.path),
+        "robots": list(log.robots),
+        "initial": session.initial,
+        "measurements": kinds_in(log),
+        "solver": configuration.solver,
+        "skipped": dict(log.skipped),
+    }
+    summary = output.write(records, configuration, about, session.out)
+    try:
+        return summary, write_figures(records, session.out / "figures")
+    except MissingExtraError as error:
+        errors.print(str(error), soft_wrap=True, markup=False)
+        return summary, []
+
+
+def kinds_in(log: Log) -> list[str]:
+    """The kinds of measurements between robots that a log holds."""
+    return [name for name, kind in KINDS.items() if any(isinstance(m, kind) for m in log.measurements)]
+
+
+def _watched(ticks: Replay, errors: Console) -> Iterator[Tick]:
+    """The ticks, with a progress bar while they run if there is a terminal."""
+    columns = (TextColumn("localising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        yield from progress.track(ticks, total=len(ticks))

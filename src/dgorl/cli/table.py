@@ -1,0 +1,53 @@
+"""The table at the end of a run: one row an ego, from summary.json's numbers alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+COLUMNS = ("position\nRMSE [m]", "heading\nRMSE [°]", "located\n[%]", "in 95 %\nellipse [%]", "tick\n[ms]")
+
+
+def show(summary: Mapping[str, Any], console: Console) -> None:
+    """Print the figures of each ego and of the team, or say in words why there are none."""
+    robots, egos = summary["robots"], summary["egos"]
+    if len(robots) < 2:
+        console.print(f"{robots[0]} is alone in this log: there is no peer to localise.")
+        return
+    title = f"{len(robots)} robots, {summary['ticks']} ticks"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+    table.add_column("ego", no_wrap=True)
+    for name in COLUMNS:
+        table.add_column(Text(name), justify="right", no_wrap=True)
+    for ego, figures in egos.items():
+        table.add_row(ego, *_row(figures, figures["tick_ms"]["median"]))
+    if len(egos) > 1:
+        table.add_section()
+        table.add_row("team", *_row(summary["team"], None), style="bold")
+    console.print(table)
+    if summary["team"]["all_ticks_position_rmse_m"] is None:
+        console.print(
+            "No ground truth for these ticks, so nobody knows the errors; --truth FILE scores against one.",
+            soft_wrap=True,
+        )
+    if not summary["measurements"]:
+        console.print("The log has no measurements between robots: this is dead reckoning from the starts.")
+
+
+def _row(figures: Mapping[str, Any], tick_ms: float | None) -> list[str]:
+    return [
+        _text(figures["position_rmse_m"], 2),
+        _text(figures["heading_rmse_deg"], 1),
+        _text(figures["tracked_fraction"], 1, 100),
+        _text(figures["coverage_95"], 1, 100),
+        _text(tick_ms, 1),
+    ]
+
+
+def _text(value: float | None, decimals: int, scale: float = 1.0) -> str:
+    return "–" if value is None else f"{scale * value:.{decimals}f}"
