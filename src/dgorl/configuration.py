@@ -50,6 +50,8 @@ class Motion:
     """σ of the speed a late robot is predicted with [m/s]"""
     predicted_turn_rate_sigma: float = 0.5
     """σ of the turn rate a late robot is predicted with [rad/s]"""
+    stated_covariance: bool = True
+    """take the covariance odometry states of itself, where it does; false: the rates above"""
 
 
 @dataclass(frozen=True)
@@ -240,6 +242,9 @@ def _convert(value: Any, hint: Any, source: str, name: str) -> Any:
     elif hint is float:
         if isinstance(value, int | float) and not isinstance(value, bool) and value == value and abs(value) != float("inf"):
             return float(value)
+    elif hint is bool:
+        if isinstance(value, bool):
+            return value
     elif hint is int:
         if isinstance(value, int) and not isinstance(value, bool):
             return value
@@ -261,4 +266,4 @@ def _describe(hint: Any) -> str:
         return " or ".join(_describe(option) for option in get_args(hint))
     if origin is Literal:
         return " or ".join(str(option) for option in get_args(hint))
-    return {float: "a number", int: "a whole number", type(None): "null"}.get(hint, "a mapping")
+    return {float: "a number", bool: "true or false", int: "a whole number", type(None): "null"}.get(hint, "a mapping")

@@ -34,6 +34,9 @@ WORLD_KEY = TrackKey(WORLD, 0, -inf)
 LATE = 10.0
 """Data later than this [s] waits for the next node time, so that a laggard costs one rewind per node."""
 
+SEEN = 30.0
+"""What was admitted is remembered in stretches this long [s], to know duplicates."""
+
 DEFAULT_SILENCE = 30.0
 """Without a bounded window, a robot silent for longer than this [s] begins a new track."""
 
@@ -56,7 +59,7 @@ class History:
         self._heard: dict[str, int] = {}
         self._inbox: list[tuple[float, int, Measurement]] = []
         self._count = 0
-        self._seen: set[Measurement] = set()
+        self._seen: dict[float, set[Measurement]] = {}
         window = configuration.window
         self._silence = DEFAULT_SILENCE if window == "all" else float(window)
 
@@ -80,7 +83,7 @@ class History:
         fresh: dict[Measurement, None] = {}
         for item in taken:
             stamp, _, measurement = item
-            if measurement in self._seen:
+            if measurement in self._seen.get(stamp // SEEN, ()):
                 continue
             if now - stamp > self.configuration.history:
                 self.rejected["too late"] += 1
@@ -89,7 +92,8 @@ class History:
             else:
                 fresh[measurement] = None
         self._inbox = early + waiting
-        self._seen.update(fresh)
+        for measurement in fresh:
+            self._seen.setdefault(known_at(measurement) // SEEN, set()).add(measurement)
         return self._take(list(fresh)) if fresh else inf
 
     def forget(self, before: float) -> None:
@@ -99,7 +103,7 @@ class History:
         for table in self.tables.values():
             table.forget(before)
         self.poses = [pose for pose in self.poses if pose.stamp >= before]
-        self._seen = {m for m in self._seen if known_at(m) >= before}
+        self._seen = {bucket: seen for bucket, seen in self._seen.items() if (bucket + 1) * SEEN > before}
 
     @property
     def tracks(self) -> list[Track]:

@@ -54,12 +54,12 @@ class Trail:
         self.robot = robot
         self.tracks: list[Track] = []
         self.core = _core.Trail(motion_values(motion), silence)
-        self._lag = motion.lag
+        self._lag, self._stated = motion.lag, motion.stated_covariance
         self._rows: list[Row] = []
 
     def add(self, odometry: Sequence[Odometry | Displacement]) -> bool:
         """Take new odometry; True when it came in order, False when the tracks were rebuilt."""
-        rows = sorted(_row(m) for m in odometry)
+        rows = sorted(odometry_row(m, self._stated) for m in odometry)
         in_order = not self._rows or rows[0][:4] > self._rows[-1][:4]
         if in_order:
             self._rows.extend(rows)
@@ -95,10 +95,11 @@ class Trail:
 
 def motion_values(motion: Motion) -> Array:
     """The settings of a motion model (13,), as the core takes them."""
-    return np.array(astuple(motion))
+    return np.array(astuple(motion)[:13])
 
 
-def _row(m: Odometry | Displacement) -> Row:
+def odometry_row(m: Odometry | Displacement, stated: bool = True) -> Row:
+    """A measurement as the core takes it; ``stated``: with the covariance it states of itself."""
     if isinstance(m, Odometry):
         return (m.start, m.end, m.epoch, 1.0, m.v, 0.0, m.omega, *_UNSTATED)
-    return (m.start, m.end, m.epoch, 0.0, m.dx, m.dy, m.dtheta, *(m.covariance or _UNSTATED))
+    return (m.start, m.end, m.epoch, 0.0, m.dx, m.dy, m.dtheta, *((stated and m.covariance) or _UNSTATED))
