@@ -103,9 +103,10 @@ nb::object gauss_newton_step(const Graph& graph, nb::handle poses) {
   return to_numpy(undamped_step(graph, x.data()));
 }
 
-nb::tuple hessian(const Graph& graph, nb::handle poses) {
+nb::tuple hessian(const Graph& graph, nb::handle poses, bool exact) {
   const std::vector<Pose> x = graph.poses(RowArgument<3>("poses", poses, graph.layout().poses()), "poses");
-  const DenseNormalEquations out = dense_normal_equations(graph, x.data());
+  const DenseNormalEquations out =
+      dense_normal_equations(graph, x.data(), exact ? Weighting::kNewton : Weighting::kIrls);
   return nb::make_tuple(to_numpy(out.hessian), to_numpy(out.gradient));
 }
 
@@ -145,6 +146,7 @@ nb::object chain_poses(nb::handle start, nb::handle deltas) {
 }  // namespace
 
 void bind_adders(nb::class_<Graph>& graph);
+void bind_tracks(nb::module_& m);
 
 void bind(nb::module_& m) {
   m.attr("NONE") = static_cast<int>(KernelType::kNone);
@@ -178,7 +180,8 @@ void bind(nb::module_& m) {
       .def("covariance", &covariance, "poses"_a, "select"_a)
       .def("marginalize", &marginalize_slots, "poses"_a, "slot"_a)
       .def("gauss_newton_step", &gauss_newton_step, "poses"_a)
-      .def("hessian", &hessian, "poses"_a);
+      .def("hessian", &hessian, "poses"_a, "exact"_a = false);
+  bind_tracks(m);
   m.def("preintegrate", &preintegrate_groups, "deltas"_a, "covariances"_a, "counts"_a);
   m.def("chain", &chain_poses, "start"_a, "deltas"_a);
 }

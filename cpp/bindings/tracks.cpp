@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "arguments.hpp"
+#include "dgorl/relative.hpp"
 #include "dgorl/track.hpp"
 
 using namespace nb::literals;
@@ -84,18 +85,49 @@ nb::object odometry(const std::vector<TrackPtr>& tracks, const std::vector<std::
   return nb::make_tuple(to_numpy(std::move(delta), {rows, 3}), to_numpy(std::move(information), {rows, 3, 3}));
 }
 
-// Motion since the newest keyframe to stamp of every track, and its covariance.
-nb::object carried(const std::vector<TrackPtr>& tracks, double stamp, nb::handle motion) {
+std::vector<Pose> to_poses(const RowArgument<3>& rows) {
+  std::vector<Pose> poses;
+  for (nb::ssize_t k = 0; k < rows.rows(); ++k) poses.emplace_back(rows.data() + 3 * k);
+  return poses;
+}
+
+Eigen::MatrixXd joint_covariance(nb::handle covariance, nb::ssize_t n) {
+  const Argument<double> joint("covariance", covariance, {3 * n, 3 * n});
+  return Square(joint.data(), 3 * n, 3 * n);
+}
+
+nb::object from_poses(const std::vector<Pose>& poses) {
+  std::vector<double> out;
+  for (const Pose& p : poses) out.insert(out.end(), {p.x, p.y, p.theta});
+  return to_numpy(std::move(out), {poses.size(), 3});
+}
+
+// Poses and joint covariance at the newest keyframes carried on to stamp.
+nb::object carry_on(const std::vector<TrackPtr>& tracks, double stamp, nb::handle motion, nb::handle poses,
+                    nb::handle covariance) {
   const MotionModel model = motion_model(motion);
-  std::vector<double> delta, covariance;
-  for (const TrackPtr& track : tracks) {
-    const Travelled travelled = track->carried(stamp, model);
-    const Vector3 d = travelled.delta.vec();
-    delta.insert(delta.end(), d.data(), d.data() + 3);
-    covariance.insert(covariance.end(), travelled.covariance.data(), travelled.covariance.data() + 9);
+  const auto n = static_cast<nb::ssize_t>(tracks.size());
+  std::vector<Pose> carried = to_poses(RowArgument<3>("poses", poses, n));
+  std::vector<Travelled> motions;
+  for (std::size_t k = 0; k < tracks.size(); ++k) {
+    motions.push_back(tracks[k]->carried(stamp, model));
+    carried[k] = carried[k] * motions[k].delta;
   }
-  const std::size_t rows = tracks.size();
-  return nb::make_tuple(to_numpy(std::move(delta), {rows, 3}), to_numpy(std::move(covariance), {rows, 3, 3}));
+  return nb::make_tuple(from_poses(carried), to_numpy(carry(joint_covariance(covariance, n), motions)));
+}
+
+nb::object relative(nb::handle poses, nb::handle covariance, std::int64_t ego) {
+  const RowArgument<3> rows("poses", poses);
+  if (ego < 0 || ego >= rows.rows()) throw std::invalid_argument("ego: index out of range");
+  const std::vector<Relative> seen =
+      relative_to(to_poses(rows), joint_covariance(covariance, rows.rows()), static_cast<std::size_t>(ego));
+  std::vector<Pose> found;
+  std::vector<double> covariances;
+  for (const Relative& r : seen) {
+    found.push_back(r.pose);
+    covariances.insert(covariances.end(), r.covariance.data(), r.covariance.data() + 9);
+  }
+  return nb::make_tuple(from_poses(found), to_numpy(std::move(covariances), {found.size(), 3, 3}));
 }
 
 }  // namespace
@@ -127,7 +159,8 @@ void bind_tracks(nb::module_& m) {
       .def("forget", &Trail::forget, "before"_a);
   m.def("locate", &locate, "trails"_a, "robots"_a, "stamps"_a);
   m.def("odometry", &odometry, "tracks"_a, "first"_a, "last"_a);
-  m.def("carried", &carried, "tracks"_a, "stamp"_a, "motion"_a);
+  m.def("carry", &carry_on, "tracks"_a, "stamp"_a, "motion"_a, "poses"_a, "covariance"_a);
+  m.def("relative", &relative, "poses"_a, "covariance"_a, "ego"_a);
 }
 
 }  // namespace dgorl::bindings

@@ -25,7 +25,7 @@ double group_cost(const Group<Factor>& group, const Pose* poses) {
   double sum = 0.0;
   for (std::size_t k = 0; k < group.factors.size(); ++k) {
     const Edge& edge = group.edges[k];
-    const auto e = group.factors[k](poses[edge.i], poses[edge.j], nullptr);
+    const auto e = group.factors[k](poses[edge.i], poses[edge.j], nullptr, nullptr);
     const double s = e.squaredNorm();
     sum += group.kernel.applies(e[0]) ? group.kernel(s).value : s;
   }
@@ -37,27 +37,28 @@ double group_cost(const Prior& prior, const Pose* poses) { return prior.cost(pos
 template <class Factor>
 void linearize_group(const Group<Factor>& group, const Pose* poses, Weighting weighting, int blocks,
                      NormalEquations& normal) {
+  const bool newton = weighting == Weighting::kNewton;
   double sum = 0.0;
   for (std::size_t k = 0; k < group.factors.size(); ++k) {
     const Edge& edge = group.edges[k];
     if (edge.first_block >= blocks && blocks != kNoBlock) continue;
     Jacobians<Factor::kDim> jac;
-    const auto e = group.factors[k](poses[edge.i], poses[edge.j], &jac);
+    Curvature curvature;
+    const auto e = group.factors[k](poses[edge.i], poses[edge.j], &jac, newton ? &curvature : nullptr);
     const double s = e.squaredNorm();
-    if (group.kernel.applies(e[0])) {
-      const Kernel::Rho rho = group.kernel(s);
-      sum += rho.value;
-      add_robust_factor<Factor::kDim>(edge, jac, rho, weighting, e, normal);
-    } else {
-      sum += s;
-      add_factor<Factor::kDim>(edge, jac, 1.0, e, normal);
-    }
+    Kernel::Rho rho{s, 1.0, 1.0};
+    if (group.kernel.applies(e[0])) rho = group.kernel(s);
+    sum += rho.value;
+    add_factor<Factor::kDim>(edge, jac, e, rho.weight, Kernel::hessian_weight(rho, weighting), normal);
+    if (newton) add_curvature(edge, curvature, rho.weight, normal);
   }
   normal.cost += 0.5 * sum;
 }
 
-void linearize_group(const Prior& prior, const Pose* poses, Weighting, int blocks, NormalEquations& normal) {
-  if (prior.first_block() < blocks || blocks == kNoBlock) prior.linearize(poses, normal);
+void linearize_group(const Prior& prior, const Pose* poses, Weighting weighting, int blocks,
+                     NormalEquations& normal) {
+  if (prior.first_block() < blocks || blocks == kNoBlock)
+    prior.linearize(poses, weighting == Weighting::kNewton, normal);
 }
 
 template <class Factor>
@@ -65,7 +66,7 @@ Residuals group_residuals(const Group<Factor>& group, const Pose* poses) {
   Residuals out{Factor::kName, Matrix(group.factors.size(), Factor::kDim)};
   for (std::size_t k = 0; k < group.factors.size(); ++k)
     out.values.row(k) =
-        group.factors[k](poses[group.edges[k].i], poses[group.edges[k].j], nullptr).transpose();
+        group.factors[k](poses[group.edges[k].i], poses[group.edges[k].j], nullptr, nullptr).transpose();
   return out;
 }
 

@@ -4,10 +4,10 @@
 
 namespace dgorl {
 
-DenseNormalEquations dense_normal_equations(const Graph& graph, const Pose* poses) {
+DenseNormalEquations dense_normal_equations(const Graph& graph, const Pose* poses, Weighting weighting) {
   const Layout& layout = graph.layout();
   NormalEquations normal(layout);
-  graph.linearize(poses, Weighting::kIrls, normal);
+  graph.linearize(poses, weighting, normal);
   std::vector<int> free;
   for (int k = 0; k < layout.poses(); ++k)
     if (!layout.fixed(k)) free.push_back(k);

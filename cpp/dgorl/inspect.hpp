@@ -5,12 +5,12 @@
 
 namespace dgorl {
 
-// Over the free poses by index; robust factors with their IRLS weights.
+// Over the free poses by index.
 struct DenseNormalEquations {
   Matrix hessian;
   Vector gradient;
 };
-DenseNormalEquations dense_normal_equations(const Graph& graph, const Pose* poses);
+DenseNormalEquations dense_normal_equations(const Graph& graph, const Pose* poses, Weighting weighting);
 
 // The undamped Gauss-Newton step as tangents, one row per pose, zero for fixed ones.
 // Throws std::domain_error naming the pose that the graph leaves undetermined.

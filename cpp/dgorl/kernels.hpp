@@ -10,9 +10,10 @@ namespace dgorl {
 // The one-sided kernels are robust where e < 0 and quadratic elsewhere: NLOS makes ranges long and RSSI weak.
 enum class KernelType { kNone = 0, kHuber = 1, kCauchy = 2, kHuberNegative = 3, kCauchyNegative = 4 };
 
-// How a robust kernel enters the Hessian: with its curvature (Triggs et al. 2000), which makes the optimiser
-// converge fast, or with its weight alone (IRLS), which is what covariances and frozen priors mean.
-enum class Weighting { kTriggs, kIrls };
+// What goes into the Hessian. kIrls: Gauss-Newton with robust weights rho', which is what covariances and
+// frozen priors mean. kTriggs: with the kernel's curvature too, bounded below so that it stays positive
+// semi-definite. kNewton: everything, indefinite far from an optimum but quadratically convergent near one.
+enum class Weighting { kIrls, kTriggs, kNewton };
 
 struct Kernel {
   KernelType type = KernelType::kNone;
@@ -37,9 +38,10 @@ struct Kernel {
     return {c2 * std::log1p(s / c2), 1.0 / q, (1.0 - s / c2) / (q * q)};
   }
 
-  // The factor on the Hessian along the residual; bounded below so that it stays positive definite.
+  // The factor on the Hessian along the residual.
   static double hessian_weight(const Rho& rho, Weighting weighting) {
-    return weighting == Weighting::kIrls ? rho.weight : std::max(rho.curvature, 0.1 * rho.weight);
+    if (weighting == Weighting::kIrls) return rho.weight;
+    return weighting == Weighting::kNewton ? rho.curvature : std::max(rho.curvature, 0.1 * rho.weight);
   }
 };
 

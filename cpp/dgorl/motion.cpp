@@ -98,10 +98,15 @@ Step predict(const Vector3& twist, double start, double end, const MotionModel& 
   return {start, end, start, exp(twist * age).vec(), unknown_noise(age, m)};
 }
 
-void Travelled::append(const Pose& d, const Matrix3& q) {
+Matrix3 inverse_adjoint(const Pose& d) {
   const Vector2 turn = d.unrotate(quarter_turn(d.position()));
-  Matrix3 back;  // Ad(d^-1): moves a right perturbation from before d to after it
-  back << d.c, d.s, turn.x(), -d.s, d.c, turn.y(), 0.0, 0.0, 1.0;
+  Matrix3 ad;
+  ad << d.c, d.s, turn.x(), -d.s, d.c, turn.y(), 0.0, 0.0, 1.0;
+  return ad;
+}
+
+void Travelled::append(const Pose& d, const Matrix3& q) {
+  const Matrix3 back = inverse_adjoint(d);
   const Matrix3 moved = back * covariance * back.transpose() + q;
   covariance = 0.5 * (moved + moved.transpose());
   delta = delta * d;

@@ -50,6 +50,9 @@ Step bridge(const Vector3& twist, double start, double end, double origin, const
 // The last twist carried on to a late robot's now, with noise growing with age.
 Step predict(const Vector3& twist, double start, double end, const MotionModel& model);
 
+// Ad(d^-1): moves a right perturbation from before d to after it.
+Matrix3 inverse_adjoint(const Pose& d);
+
 // Consecutive motions composed: S <- Ad(d^-1) S Ad(d^-1)' + Q, S the covariance of the right perturbation.
 struct Travelled {
   Pose delta;

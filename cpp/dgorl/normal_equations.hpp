@@ -37,42 +37,45 @@ struct Edge {
   Edge(const Layout& layout, int pose_i, int pose_j);
 };
 
-// Adds w J'J and J'g of one factor with whitened Jacobians.
+// Adds J'g and J'WJ, W = weight I + (along - weight) u u' with u the direction of the residual: gradient and
+// Hessian of rho / 2 (Triggs et al. 2000), for whitened Jacobians and g = rho' e.
 template <int Dim>
-void add_factor(const Edge& edge, const Jacobians<Dim>& jac, double weight,
-                const Eigen::Matrix<double, Dim, 1>& slope, NormalEquations& normal) {
+void add_factor(const Edge& edge, const Jacobians<Dim>& jac, const Eigen::Matrix<double, Dim, 1>& e,
+                double weight, double along, NormalEquations& normal) {
+  Jacobians<Dim> weighted{weight * jac.i, weight * jac.j};
+  if (Dim > 1 && along != weight) {
+    const Eigen::Matrix<double, Dim, 1> scaled = e * ((along - weight) / e.squaredNorm());
+    weighted.i += scaled * (e.transpose() * jac.i);
+    weighted.j += scaled * (e.transpose() * jac.j);
+  } else if (Dim == 1 && along != weight) {
+    weighted = {along * jac.i, along * jac.j};
+  }
+  const Eigen::Matrix<double, Dim, 1> slope = weight * e;
   if (edge.start_i >= 0) {
     normal.gradient.segment<3>(edge.start_i) += jac.i.transpose() * slope;
-    normal.add(edge.ii, jac.i.transpose() * (weight * jac.i));
+    normal.add(edge.ii, jac.i.transpose() * weighted.i);
   }
   if (edge.start_j >= 0) {
     normal.gradient.segment<3>(edge.start_j) += jac.j.transpose() * slope;
-    normal.add(edge.jj, jac.j.transpose() * (weight * jac.j));
+    normal.add(edge.jj, jac.j.transpose() * weighted.j);
   }
   if (edge.ij.offset >= 0) {
     if (edge.j_is_row)
-      normal.add(edge.ij, jac.j.transpose() * (weight * jac.i));
+      normal.add(edge.ij, jac.j.transpose() * weighted.i);
     else
-      normal.add(edge.ij, jac.i.transpose() * (weight * jac.j));
+      normal.add(edge.ij, jac.i.transpose() * weighted.j);
   }
 }
 
-// As above for a robust kernel: gradient rho' J'e, Hessian J'(rho' I + 2 rho'' e e')J (Triggs) or rho' J'J
-// (IRLS).
-template <int Dim>
-void add_robust_factor(const Edge& edge, Jacobians<Dim>& jac, const Kernel::Rho& rho, Weighting weighting,
-                       const Eigen::Matrix<double, Dim, 1>& e, NormalEquations& normal) {
-  const double along = Kernel::hessian_weight(rho, weighting);
-  const Eigen::Matrix<double, Dim, 1> slope = rho.weight * e;
-  if (Dim == 1) return add_factor<Dim>(edge, jac, along, slope, normal);
-  const double norm = e.norm();
-  if (along == rho.weight || norm == 0.0) return add_factor<Dim>(edge, jac, rho.weight, slope, normal);
-  // Along the residual the Hessian has another weight: shrink that component, restore the gradient with it.
-  const double shrink = std::sqrt(along / rho.weight);
-  const Eigen::Matrix<double, Dim, 1> unit = e / norm;
-  jac.i += unit * ((shrink - 1.0) * (unit.transpose() * jac.i));
-  jac.j += unit * ((shrink - 1.0) * (unit.transpose() * jac.j));
-  add_factor<Dim>(edge, jac, rho.weight, slope / shrink, normal);
+inline void add_curvature(const Edge& edge, const Curvature& curvature, double weight,
+                          NormalEquations& normal) {
+  if (edge.start_i >= 0) normal.add(edge.ii, weight * curvature.ii);
+  if (edge.start_j >= 0) normal.add(edge.jj, weight * curvature.jj);
+  if (edge.ij.offset < 0) return;
+  if (edge.j_is_row)
+    normal.add(edge.ij, weight * curvature.ij.transpose());
+  else
+    normal.add(edge.ij, weight * curvature.ij);
 }
 
 }  // namespace dgorl

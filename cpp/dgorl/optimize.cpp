@@ -13,13 +13,14 @@ constexpr double kRounding = 1e-13;      // relative cost increase that is not o
 constexpr double kNegligible = 1e-8;     // damping below this is dropped: the last steps are Newton's
 constexpr double kSmallestRaise = 1e-6;  // where damping starts again after it was dropped
 constexpr double kLargestDamping = 1e12;
+constexpr double kClose = 0.1;  // a Gauss-Newton step below this [m, rad] lets Newton try again
 
 // The paper's damping rule: a smaller error lowers lambda, a larger one raises it, ever faster.
 struct Damping {
-  double value, growth = 4.0;
+  double value, growth = 4.0, floor = 0.0;
 
   void lower() {
-    value = value * 0.1 < kNegligible ? 0.0 : value * 0.1;
+    value = value * 0.1 < kNegligible ? floor : value * 0.1;
     growth = 4.0;
   }
   void raise() {
@@ -69,54 +70,65 @@ double Optimizer::apply(const std::vector<Pose>& from, std::vector<Pose>& to) co
   return step_.size() ? step_.cwiseAbs().maxCoeff() : 0.0;
 }
 
+// Newton's Hessian while it is positive definite and its steps lower the cost, Gauss-Newton's otherwise.
 Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
   Result result;
   Damping damping{options.initial_damping};
+  Weighting weighting = Weighting::kNewton;
   trial_ = poses;
-  graph_.linearize(poses.data(), Weighting::kTriggs, normal_);
+  graph_.linearize(poses.data(), weighting, normal_);
   const double start_cost = result.cost = normal_.cost;
-  if (!std::isfinite(start_cost)) {
-    result.reason = Reason::kFailed;
-    return result;
-  }
-  bool solved = false;
-  double undamped_failure = -1.0;  // cost at which the undamped system was singular
+  result.reason = Reason::kFailed;
+  if (!std::isfinite(start_cost)) return result;
+  bool solved = false;  // at least once
   while (result.iterations < options.max_iterations) {
     if (damping.value > kLargestDamping) {
-      result.reason = solved ? Reason::kStalled : Reason::kFailed;
+      if (solved) result.reason = Reason::kStalled;
       return result;
     }
     ++result.iterations;
-    if (cholesky_.factorize(normal_.hessian, damping.value) >= 0) {
-      if (damping.value == 0.0) undamped_failure = normal_.cost;
-      damping.raise();
-      continue;
-    }
-    solved = true;
-    step_ = normal_.gradient;
-    cholesky_.solve(step_);
-    const double length = apply(poses, trial_);
-    if (length < options.step_tolerance) {
-      // A damped step may be short because it is damped: only an undamped one, where there is one, ends it.
-      if (damping.value > 0.0 && undamped_failure != normal_.cost) {
-        damping.value = 0.0;
+    const bool regular = cholesky_.factorize(normal_.hessian, damping.value) < 0;
+    double length = 0.0;
+    if (regular) {
+      solved = true;
+      step_ = normal_.gradient;
+      cholesky_.solve(step_);
+      length = apply(poses, trial_);
+      if (length < options.step_tolerance) {
+        // A damped step may be short because it is damped: only an undamped one, where there is one, ends it.
+        if (damping.value > damping.floor) {
+          damping.value = damping.floor;
+          continue;
+        }
+        std::swap(poses, trial_);
+        result.cost = graph_.cost(poses.data());
+        result.reason = Reason::kConverged;
+        return result;
+      }
+      graph_.linearize(trial_.data(), weighting, trial_normal_);
+      const double rounding = kRounding * (std::abs(normal_.cost) + std::abs(start_cost));
+      if (trial_normal_.cost <= normal_.cost + rounding) {
+        std::swap(poses, trial_);
+        std::swap(normal_, trial_normal_);
+        result.cost = normal_.cost;
+        damping.lower();
+        if (weighting != Weighting::kNewton && length < kClose) {
+          weighting = Weighting::kNewton;
+          graph_.linearize(poses.data(), weighting, normal_);
+        }
         continue;
       }
-      std::swap(poses, trial_);
-      result.cost = graph_.cost(poses.data());
-      result.reason = Reason::kConverged;
-      return result;
     }
-    graph_.linearize(trial_.data(), Weighting::kTriggs, trial_normal_);
-    if (trial_normal_.cost <= normal_.cost + kRounding * (std::abs(normal_.cost) + std::abs(start_cost))) {
-      std::swap(poses, trial_);
-      std::swap(normal_, trial_normal_);
-      result.cost = normal_.cost;
-      damping.lower();
-    } else {
-      damping.raise();
+    if (weighting == Weighting::kNewton) {
+      weighting = Weighting::kTriggs;
+      graph_.linearize(poses.data(), weighting, normal_);
+      continue;
     }
+    // A graph without a gauge is singular everywhere: keep the least damping that makes it regular.
+    if (!regular && damping.value == 0.0) damping.floor = kNegligible;
+    damping.raise();
   }
+  result.reason = Reason::kMaxIterations;
   return result;
 }
 

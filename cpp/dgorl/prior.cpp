@@ -69,13 +69,30 @@ Matrix Prior::jacobian(const Pose* poses) const {
   return jac;
 }
 
-void Prior::linearize(const Pose* poses, NormalEquations& normal) const {
+// Second derivatives of delta, weighted with pull = H delta + g; without a reference it has none.
+void Prior::add_curvature(const Pose* poses, const Vector& pull, Matrix& hessian) const {
+  if (reference_ < 0) return;
+  const Pose& x_ref = poses[reference_];
+  const Eigen::Index r = static_cast<Eigen::Index>(3 * members_.size());
+  for (Eigen::Index k = 0; k < r; k += 3) {
+    const Pose& x = poses[members_[k / 3]];
+    Curvature c;
+    RelativePose::set_curvature(x_ref, x, Vector2::Zero(), x_ref.unrotate(x.position() - x_ref.position()),
+                                pull.segment<2>(k), &c);
+    hessian.block<3, 3>(r, r) += c.ii;
+    hessian.block<3, 3>(r, k) += c.ij;
+    hessian.block<3, 3>(k, r) += c.ij.transpose();
+  }
+}
+
+void Prior::linearize(const Pose* poses, bool newton, NormalEquations& normal) const {
   const Vector d = delta(poses);
   const Matrix jac = jacobian(poses);
   const Vector product = information_ * d;
   normal.cost += d.dot(0.5 * product + gradient_);
-  const Vector gradient = jac.transpose() * (product + gradient_);
-  const Matrix hessian = jac.transpose() * (information_ * jac);
+  const Vector pull = product + gradient_, gradient = jac.transpose() * pull;
+  Matrix hessian = jac.transpose() * (information_ * jac);
+  if (newton) add_curvature(poses, pull, hessian);
   for (std::size_t a = 0; a < variables_.size(); ++a) {
     if (layout_.fixed(variables_[a])) continue;
     normal.gradient.segment<3>(layout_.start(variables_[a])) += gradient.segment<3>(3 * a);

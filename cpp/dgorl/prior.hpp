@@ -20,7 +20,7 @@ class Prior {
         const Matrix& information, const Vector& gradient);
 
   double cost(const Pose* poses) const;
-  void linearize(const Pose* poses, NormalEquations& normal) const;
+  void linearize(const Pose* poses, bool newton, NormalEquations& normal) const;
   Matrix residual(const Pose* poses) const;  // delta as it is defined, one row per member
   int first_block() const { return first_block_; }
   const std::vector<int>& variables() const { return variables_; }
@@ -28,6 +28,7 @@ class Prior {
  private:
   Vector delta(const Pose* poses) const;
   Matrix jacobian(const Pose* poses) const;
+  void add_curvature(const Pose* poses, const Vector& pull, Matrix& hessian) const;
 
   const Layout& layout_;
   int reference_;
