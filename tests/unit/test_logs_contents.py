@@ -237,6 +237,16 @@ def test_pyfg_gap_and_several_landmarks(tmp_path: Path) -> None:
     assert [(m.start, m.end) for m in steps] == [(0.0, 1.0), (2.0, 3.0)]
 
 
+def test_pyfg_odometry_never_overlaps(tmp_path: Path) -> None:
+    """After a gap it begins at the vertex's own stamp, but not before its last end."""
+    (tmp_path / "a.pyfg").write_text(
+        "VERTEX_SE2 0 A0 0 0 0\nVERTEX_SE2 1 A1 0 0 0\nVERTEX_SE2 1.01 A2 0 0 0\nVERTEX_SE2 2 A3 0 0 0\n"
+        "EDGE_SE2 1.02 A0 A1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2.02 A2 A3 1 0 0 1 0 0 1 0 1\n"
+    )
+    steps = logs.read(tmp_path / "a.pyfg").measurements
+    assert [(m.start, m.end) for m in steps if isinstance(m, Displacement)] == [(0.0, 1.02), (1.02, 2.02)]
+
+
 def test_a_landmark_wanders_less_than_a_centimetre_in_ten_minutes() -> None:
     from dgorl.logs.pyfg import STANDING_PERIOD, STANDING_SIGMA
 

@@ -279,6 +279,13 @@ def test_nothing_between_robots(tmp_path: Path) -> None:
     refused(tmp_path, "needs one of rssi.csv, ranges.csv, bearings.csv")
 
 
+def test_odometry_of_pyfg_runs_backwards(tmp_path: Path) -> None:
+    edges = "EDGE_SE2 0.5 A0 A1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 0.45 A1 A2 1 0 0 1 0 0 1 0 1\n"
+    vertices = "".join(f"VERTEX_SE2 {0.5 * k} A{k} 0 0 0\n" for k in range(3))
+    (tmp_path / "a.pyfg").write_text(vertices + edges)
+    refused(tmp_path / "a.pyfg", "a.pyfg:5: odometry must end after it starts, got 0.5 to 0.45")
+
+
 def test_landmark_and_robot_share_a_letter(tmp_path: Path) -> None:
     (tmp_path / "a.pyfg").write_text(PYFG.replace("L0", "A7"))
     refused(tmp_path / "a.pyfg", "landmark A7 and robot A share a letter")

@@ -16,6 +16,7 @@ from dgorl.measurements import Bearing, Displacement, Range, Rssi
 from dgorl.se2 import Array
 from dgorl.simulation import Scenario, simulate
 
+STANDING = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
 LONG = Scenario(steps=4000, seed=1)
 
 
@@ -104,6 +105,7 @@ def test_static_robots_do_not_move() -> None:
     for robot, rows in log.truth.items():
         assert np.ptp(rows[:, 1:], axis=0).max() == 0.0
         assert not twists(log, robot).any()
+    assert {m.covariance for m in log.measurements if isinstance(m, Displacement)} == {STANDING}
 
 
 def test_the_same_seed_gives_the_same_log_another_seed_another() -> None:
@@ -151,7 +153,7 @@ def test_wheel_scale_is_true_motion_over_reported(scale: float) -> None:
 
 @pytest.mark.parametrize("lag", [0.2, 0.5, 0.75, 1.0])
 def test_wheel_lag_shifts_true_motion_in_time(lag: float) -> None:
-    """The true turn by step k is the reported turn rate integrated up to k Δt − lag, give or take the noise."""
+    """The true turn by step k is the reported turn rate integrated up to k Δt − lag, but for noise."""
     log = simulate(Scenario(wheel_lag=lag, steps=200))
     assert "motion" not in log.configuration
     for robot, rows in log.truth.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 
 import numpy as np
@@ -124,9 +125,8 @@ def test_shadowing_in_a_whole_log_is_correlated() -> None:
 
 
 def test_without_line_of_sight_ranges_are_long_and_signals_weak() -> None:
-    sensors = ("rssi", "range")
-    clear = simulate(Scenario(sensors=sensors, steps=1000, comm_range=100.0))
-    some = simulate(Scenario(sensors=sensors, steps=1000, comm_range=100.0, nlos=0.2))
+    scenario = Scenario(sensors=("rssi", "range"), steps=1000, comm_range=100.0)
+    clear, some = simulate(scenario), simulate(dataclasses.replace(scenario, nlos=0.2))
     excess = np.subtract(range_errors(some), range_errors(clear))
     loss = np.subtract(all_of(signal_errors(some)), all_of(signal_errors(clear)))
     for blocked, mean in ((excess, 1.5), (-loss, 6.0)):

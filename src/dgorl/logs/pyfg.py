@@ -62,7 +62,7 @@ def read_pyfg(path: Path) -> Log:
     measurements: list[Measurement] = []
     truth: dict[str, Array] = {}
     for robot, chain in robots.items():
-        measurements += _odometry(path, robot, chain)
+        measurements += _odometry(robot, chain)
         truth[robot] = rising([(vertex.stamp, *vertex.pose) for vertex in chain.vertices.values()])
         skipped["ground truth of a repeated stamp"] += len(chain.vertices) - len(truth[robot])
     if not measurements:
@@ -138,18 +138,16 @@ def _members(rows: Sequence[Row]) -> tuple[dict[str, _Robot], dict[str, tuple[fl
     return robots, landmarks
 
 
-def _odometry(path: Path, robot: str, chain: _Robot) -> Iterator[Displacement]:
-    forward = Forward(strictly=True)
+def _odometry(robot: str, chain: _Robot) -> Iterator[Displacement]:
     times = _times(chain)
-    before: str | None = None
-    for symbol in chain.vertices:
-        row = chain.edges.get(symbol)
-        if row is not None and before is not None:
-            forward.check(row, times[symbol], robot)
+    last = -float("inf")
+    for before, symbol in pairwise(chain.vertices):
+        if (row := chain.edges.get(symbol)) is not None:
+            start, end = max(times[before], last), times[symbol]
             dx, dy, dtheta = row.numbers(4, 7)
             covariance = _at_start(dtheta, row.numbers(7, 13))
-            yield row.make(Displacement, robot, times[before], times[symbol], dx, dy, dtheta, covariance)
-        before = symbol
+            yield row.make(Displacement, robot, start, end, dx, dy, dtheta, covariance)
+            last = end
 
 
 def _times(chain: _Robot) -> dict[str, float]:
