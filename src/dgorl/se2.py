@@ -12,9 +12,9 @@ Array = NDArray[np.float64]
 
 
 def wrap(angle: ArrayLike) -> Array:
-    """Angle in (−π, π] [rad]."""
+    """Angle in (−π, π] [rad]; one that is there already keeps every digit."""
     a = np.asarray(angle, dtype=float)
-    return np.asarray(np.pi - np.mod(np.pi - a, 2 * np.pi))
+    return np.where((a > -np.pi) & (a <= np.pi), a, np.pi - np.mod(np.pi - a, 2 * np.pi))
 
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
@@ -68,11 +68,11 @@ def adjoint(T_a_b: ArrayLike) -> Array:
 
 
 def _sinc_terms(theta: Array) -> tuple[Array, Array]:
-    """sin θ / θ and (1 − cos θ) / θ, by series near zero."""
+    """sin θ / θ and (1 − cos θ) / θ = 2 sin²(θ/2) / θ, which does not cancel; by series near zero."""
     small = np.abs(theta) < 1e-4
     t = np.where(small, 1.0, theta)
     a = np.where(small, 1.0 - theta**2 / 6.0, np.sin(t) / t)
-    b = np.where(small, theta / 2.0 - theta**3 / 24.0, (1.0 - np.cos(t)) / t)
+    b = np.where(small, theta / 2.0 - theta**3 / 24.0, 2.0 * np.sin(t / 2.0) ** 2 / t)
     return a, b
 
 

@@ -120,10 +120,12 @@ class Factor:
 
     def normal_equations(self, x: Array) -> tuple[Array, Array]:
         """Jᵀ ρ'Ω J and Jᵀ(ρ'Ω e + g) over the factor's own poses, in their order."""
-        e, columns = self.residual(x), []
-        for pose in self.poses:
-            for axis in np.eye(3):
-                columns.append(sum(w * self.moved(x, pose, k * STEP * axis) for k, w in STENCIL) / STEP)
+        e = self.residual(x)
+        columns = [
+            sum(w * self.moved(x, pose, k * STEP * axis) for k, w in STENCIL) / STEP
+            for pose in self.poses
+            for axis in np.eye(3)
+        ]
         jacobian = np.transpose(columns)
         weight = rho(float(e @ self.information @ e), self.active(e), self.width)[1]
         linear = np.zeros(e.size) if self.gradient is None else self.gradient
@@ -263,8 +265,8 @@ def team(
 ) -> Twin:
     """A window of a small team with every kind of factor; ``poses`` is the truth, disturbed a little.
 
-    gauge: ``pose`` fixes the first robot's first keyframe, ``world`` adds a fixed pose with relative poses to it,
-    ``prior`` an absolute prior, ``none`` leaves the gauge free. One robot misses the middle slot.
+    gauge: ``pose`` fixes the first robot's first keyframe, ``world`` adds a fixed pose with relative poses to
+    it, ``prior`` an absolute prior, ``none`` leaves the gauge free. One robot misses the middle slot.
     """
     index = {}
     slots, truth = [], []

@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+
+from dgorl import _core, se2
 from tests.unit.reference import (
     CAUCHY,
     CAUCHY_NEGATIVE,
@@ -15,8 +17,6 @@ from tests.unit.reference import (
     Twin,
     random_information,
 )
-
-from dgorl import _core, se2
 
 Array = np.ndarray
 SCALAR_KERNELS = [NONE, HUBER, CAUCHY, HUBER_NEGATIVE, CAUCHY_NEGATIVE]

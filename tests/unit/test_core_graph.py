@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.unit.reference import retract, rows, team
 
 from dgorl import _core, se2
+from tests.unit.reference import retract, rows, team
 
 Array = np.ndarray
 GAUGES = ["pose", "world", "prior"]
@@ -119,7 +119,7 @@ def test_order_of_the_poses_does_not_matter() -> None:
 
 @seeds
 def test_gauge_does_not_change_relative_poses(seed: int) -> None:
-    """Without a gauge the optimiser finds the same relative poses and cost, wherever the whole team stands."""
+    """Without a gauge the optimiser finds the same relative poses, wherever the whole team stands."""
     twin = team(np.random.default_rng(seed), gauge="pose")
     loose = team(np.random.default_rng(seed), gauge="none")
     moved = se2.compose([30.0, -20.0, 2.0], twin.poses)
@@ -219,7 +219,6 @@ def test_window_with_prior_steps_as_the_full_graph(gauge: str, seed: int) -> Non
     slot, slots, at = 11, full.slots, full.poses
     kept, information, gradient = full.core.marginalize(at, slot)
 
-    # The live part: what is left when the factors that touch an eliminated pose are gone, from the core itself.
     live = np.flatnonzero((slots >= slot) | full.reference.fixed)
     hessian, slope = full.core.hessian(at)
     free = np.flatnonzero(~full.reference.fixed)
@@ -243,7 +242,7 @@ def test_window_with_prior_steps_as_the_full_graph(gauge: str, seed: int) -> Non
     )
     prior_hessian, prior_slope = window.hessian(at[live])
 
-    # Full Schur complement = live factors + prior; the live factors, from the reference, do not touch what is gone.
+    # Full Schur complement = prior + live factors, those that do not touch what is gone.
     rest = [f for f in full.reference.factors if not set(f.poses) & set(free[gone])]
     rest_h, rest_g = full.reference.all_normal_equations(at, rest)
     r = rows(free[stay])
