@@ -170,6 +170,16 @@ def test_truth_of_the_world_and_of_strangers() -> None:
     assert one[1].tolist() == [5, 6, 0]
 
 
+def test_a_peer_not_heard_of_yet_has_isolated_rows() -> None:
+    here = PeerEstimate(np.array([1.0, 0, 0]), np.eye(3), T, 1.0, 0.0)
+    r = collect([tick(0.0, {"a": {}}), tick(0.5, {"a": {"b": here}})], {}).pairs["a", "b"]
+    assert r.t.tolist() == [0.0, 0.5]
+    assert r.status == (I, T)
+    assert np.isnan(r.pose[0]).all()
+    assert r.reason[0] == "nothing heard yet"
+    assert metrics.time_to_track(r) == 0.5
+
+
 def test_summary_leaves_the_world_out() -> None:
     here = PeerEstimate(np.array([1.0, 0, 0]), np.eye(3), T, 1.0, 0.0)
     gone = PeerEstimate(None, None, I, 0.0, np.inf, "nothing heard", "come closer")

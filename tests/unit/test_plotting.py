@@ -14,11 +14,12 @@ from dgorl.errors import MissingExtraError
 from dgorl.estimate import Edge, Estimate, OptimizedGraph, PeerEstimate, Status
 from dgorl.evaluation.records import Records, collect
 from dgorl.measurements import WORLD
-from dgorl.plotting.errors import PEERS
+from dgorl.plotting.errors import PEERS, plot_errors
 from dgorl.plotting.figures import write_figures
 from dgorl.plotting.frames import team_view
 from dgorl.plotting.labels import write_names
 from dgorl.plotting.style import colors_of, picture
+from dgorl.plotting.trajectories import plot_trajectories
 from dgorl.se2 import Array, between
 
 WALK = 12
@@ -94,7 +95,9 @@ def test_every_robot_has_its_colour_in_the_picture(tmp_path: Path) -> None:
 
 def test_large_and_lonely_teams(tmp_path: Path) -> None:
     large = records(PEERS + 3)
-    assert (tmp_path / "large/error_r01.png") in write_figures(large, tmp_path / "large")
+    plot_trajectories(large, tmp_path / "paths.png")
+    plot_errors("r01", large.of("r01"), tmp_path / "errors.png")
+    assert pixels(tmp_path / "errors.png").shape[0] > 1000
     assert [p.name for p in write_figures(records(1), tmp_path / "one")] == ["trajectories.png"]
     assert write_figures(collect([], {}), tmp_path / "none") == []
 
@@ -130,3 +133,11 @@ def test_missing_matplotlib_says_how_to_get_it(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingExtraError, match=r"pip install 'dgorl\[plot\]'"):
         write_figures(records(), tmp_path)
+
+
+def test_of_a_long_replay_the_end_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dgorl.plotting.frames.LONGEST", 2.0)
+    view = team_view(records(), "r01")
+    assert view.t.tolist() == [3.5, 4.0, 4.5, 5.0, 5.5]
+    assert view.start == 0.0
+    assert {len(poses) for poses in (*view.estimates.values(), *view.truth.values())} == {5}

@@ -30,11 +30,13 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
         table.add_section()
         table.add_row("team", *_row(summary["team"], None), style="bold")
     console.print(table)
-    if summary["team"]["all_ticks_position_rmse_m"] is None:
-        console.print(
-            "No ground truth for these ticks, so nobody knows the errors; --truth FILE scores against one.",
-            soft_wrap=True,
+    blind = [ego for ego, figures in egos.items() if figures["all_ticks_position_rmse_m"] is None]
+    if blind:
+        whom = "these ticks" if len(blind) == len(egos) else ", ".join(blind)
+        words = (
+            f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
         )
+        console.print(words, soft_wrap=True, markup=False)
     if not summary["measurements"]:
         console.print("The log has no measurements between robots: this is dead reckoning from the starts.")
 

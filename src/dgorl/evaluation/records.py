@@ -17,6 +17,8 @@ LOCATED = (Status.POSITION, Status.TRACKED)
 MAXIMUM_GAP = 1.0
 """truth is not interpolated across a longer gap than this [s]"""
 
+_UNHEARD = PeerEstimate(None, None, Status.ISOLATED, 0.0, np.inf, "nothing heard yet")
+
 
 @dataclass(frozen=True)
 class PairRecord:
@@ -74,11 +76,11 @@ class Records:
 
 
 def collect(ticks: Iterable[Tick], truth: Mapping[str, Array]) -> Records:
-    """Run through a replay and keep what it estimated.
+    """Run through a replay and keep what it estimated; a peer not heard of yet is isolated.
 
     truth: robot → (N, 4) of t, x, y, theta in a common frame; may be empty or lack robots.
     """
-    rows: dict[tuple[str, str], list[tuple[float, PeerEstimate]]] = {}
+    rows: dict[tuple[str, str], dict[int, PeerEstimate]] = {}
     stamps: list[float] = []
     tick_s: dict[str, list[float]] = {}
     last: Mapping[str, Estimate] = {}
@@ -88,10 +90,14 @@ def collect(ticks: Iterable[Tick], truth: Mapping[str, Array]) -> Records:
         for ego, estimate in tick.estimates.items():
             tick_s.setdefault(ego, []).append(tick.cpu_s[ego])
             for peer, seen in estimate.items():
-                rows.setdefault((ego, peer), []).append((tick.stamp, seen))
-    pairs = {(a, b): _record(a, b, rows[a, b], truth) for a, b in sorted(rows)}
+                rows.setdefault((ego, peer), {})[len(stamps) - 1] = seen
+    t = np.array(stamps)
+    pairs = {
+        (a, b): _record(a, b, t, [seen.get(k, _UNHEARD) for k in range(len(t))], truth)
+        for (a, b), seen in sorted(rows.items())
+    }
     cpu = {ego: np.array(seconds) for ego, seconds in sorted(tick_s.items())}
-    return Records(tuple(cpu), np.array(stamps), cpu, pairs, truth, last)
+    return Records(tuple(cpu), t, cpu, pairs, truth, last)
 
 
 def truth_at(truth: Mapping[str, Array], robot: str, t: Array) -> Array:
@@ -121,10 +127,8 @@ def truth_at(truth: Mapping[str, Array], robot: str, t: Array) -> Array:
 
 
 def _record(
-    ego: str, peer: str, rows: Sequence[tuple[float, PeerEstimate]], truth: Mapping[str, Array]
+    ego: str, peer: str, t: Array, seen: Sequence[PeerEstimate], truth: Mapping[str, Array]
 ) -> PairRecord:
-    t = np.array([stamp for stamp, _ in rows])
-    seen = [estimate for _, estimate in rows]
     none, no_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     return PairRecord(
         ego=ego,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,6 @@ SPACE = 0.6
 """between two rows of peers [inches]"""
 ERROR = "#1A1A1A"
 BOUND = "#0072B2"
-DASHED = (0, (4, 1.5))
 
 
 def plot_errors(ego: str, peers: Mapping[str, PairRecord], path: Path) -> None:
@@ -38,6 +38,7 @@ def plot_errors(ego: str, peers: Mapping[str, PairRecord], path: Path) -> None:
     shown = sorted(peers)[:PEERS]
     if not shown:
         return
+    since = {peer: replace(peers[peer], t=peers[peer].t - peers[peer].t[0]) for peer in shown}
     colors = colors_of([ego, *peers])
     columns = min(COLUMNS, len(shown))
     blocks = -(-len(shown) // columns)
@@ -50,11 +51,13 @@ def plot_errors(ego: str, peers: Mapping[str, PairRecord], path: Path) -> None:
             left = LEFT + column * wide + 0.4
             top = height - TOP - block * (2 * HIGH + SPACE)
             upper, lower = (_panel(figure, left, top - (row + 1) * HIGH, wide) for row in (0, 1))
-            _draw_position(upper, peers[peer])
-            _draw_heading(lower, peers[peer])
+            _draw_position(upper, since[peer])
+            _draw_heading(lower, since[peer])
+            for axes in (upper, lower):
+                axes.set_xlim(0, since[peer].t[-1] or 1.0)
             upper.set_title(peer, color=colors[peer])
             upper.tick_params(labelbottom=False)
-            lower.set_xlabel("time [s]")
+            lower.set_xlabel("time since start [s]")
             if column == 0:
                 upper.set_ylabel("position error [m]")
                 lower.set_ylabel("heading error [°]")
@@ -62,7 +65,7 @@ def plot_errors(ego: str, peers: Mapping[str, PairRecord], path: Path) -> None:
         rest = f" (first {PEERS} of {len(peers)} peers)" if len(peers) > len(shown) else ""
         title = f"What {ego} knows of its peers{rest}"
         figure.text(0.1 / width, 1 - 0.1 / height, title, va="top", fontsize=11, fontweight="bold")
-        _legend(figure, [peers[peer] for peer in shown])
+        _legend(figure, list(since.values()))
 
 
 def _panel(figure: Figure, left: float, bottom: float, wide: float) -> Axes:
@@ -74,7 +77,7 @@ def _panel(figure: Figure, left: float, bottom: float, wide: float) -> Axes:
 def _draw_position(axes: Axes, record: PairRecord) -> None:
     error, bound = np.hypot(*position_error(record).T), bound_95(record)
     _shade(axes, record)
-    axes.plot(record.t, bound, color=BOUND, lw=1.1, ls=DASHED)
+    axes.plot(record.t, bound, color=BOUND, lw=1.0)
     axes.plot(record.t, error, color=ERROR, lw=1.2)
     axes.set_ylim(0, _top(record.located, error, bound))
 
@@ -83,7 +86,7 @@ def _draw_heading(axes: Axes, record: PairRecord) -> None:
     error = np.degrees(heading_error(record))
     bound = np.degrees(1.96 * np.sqrt(record.covariance[:, 2, 2]))
     _shade(axes, record)
-    axes.plot(record.t, np.column_stack([-bound, bound]), color=BOUND, lw=1.1, ls=DASHED)
+    axes.plot(record.t, np.column_stack([-bound, bound]), color=BOUND, lw=1.0)
     wraps = np.abs(np.diff(error, prepend=error[:1])) > 180
     axes.plot(record.t, np.where(wraps, np.nan, error), color=ERROR, lw=1.2)
     top = min(_top(record.having(Status.TRACKED), np.abs(error), bound), 180.0)
@@ -105,7 +108,6 @@ def _shade(axes: Axes, record: PairRecord) -> None:
     for k, end in zip(changes, ends, strict=True):
         if record.status[k] is not Status.TRACKED:
             axes.axvspan(record.t[k], end, color=STATUSES[record.status[k]], lw=0, zorder=0)
-    axes.margins(x=0)
 
 
 def _legend(figure: Figure, records: Sequence[PairRecord]) -> None:
@@ -116,7 +118,7 @@ def _legend(figure: Figure, records: Sequence[PairRecord]) -> None:
     handles: list[Line2D | Patch] = []
     if measured:
         handles.append(Line2D([], [], color=ERROR, lw=1.2, label="error"))
-    handles.append(Line2D([], [], color=BOUND, lw=1.0, ls=DASHED, label="95 % bound claimed"))
+    handles.append(Line2D([], [], color=BOUND, lw=1.0, label="95 % bound claimed"))
     seen = {status for record in records for status in record.status}
     handles += [
         Patch(facecolor=color, edgecolor="#CCCCCC", lw=0.6, label=str(status))

@@ -16,13 +16,16 @@ from dgorl.se2 import Array, compose, inverse
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+LONGEST = 120.0
+"""more of a path than this is a tangle [s]"""
+
 
 @dataclass(frozen=True)
 class TeamView:
     """One ego's estimates in one frame at ``t`` (T,), and the truth there.
 
     ego_pose: T_frame_ego (T, 3). estimates, truth: robot → (T, 3), NaN where unknown. note: the frame, in
-    words.
+    words. labels: of the axes. start: stamp of the replay's first tick [s].
     """
 
     ego: str
@@ -31,44 +34,42 @@ class TeamView:
     estimates: Mapping[str, Array]
     truth: Mapping[str, Array]
     note: str
-    x_label: str = "x [m]"
-    y_label: str = "y [m]"
+    labels: tuple[str, str]
+    start: float
 
 
 def team_view(records: Records, ego: str) -> TeamView:
-    """What ``ego`` knows: in the world if it knows that, else from its own true pose, else as it sees it."""
-    t = records.stamps
-    world = records.pairs.get((ego, WORLD))
-    true_ego = truth_at(records.truth, ego, t)
+    """What ``ego`` knows: in the world if it knows that, else from its own true pose, else as it sees it.
+
+    Of a long replay the last ``LONGEST`` seconds.
+    """
+    stamps = records.stamps
+    late = stamps >= stamps[-1] - LONGEST
+    t = stamps[late]
     peers = records.of(ego)
-    seen = {peer: _spread(record.t, record.pose, t) for peer, record in peers.items()}
     robots = [robot for robot in sorted({ego, *peers}) if robot in records.truth]
     truth = {robot: truth_at(records.truth, robot, t) for robot in robots}
+    seen = {peer: record.pose[late] for peer, record in peers.items()}
+    world = records.pairs.get((ego, WORLD))
+    labels = "x [m]", "y [m]"
     if world is not None and np.isfinite(world.pose).any():
-        ego_pose = inverse(_spread(world.t, world.pose, t))
-        estimates = {ego: ego_pose} | {peer: compose(ego_pose, pose) for peer, pose in seen.items()}
-        return TeamView(ego, t, ego_pose, estimates, truth, f"estimated by {ego} in the start frame")
-    if np.isfinite(true_ego).any():
-        estimates = {peer: compose(true_ego, pose) for peer, pose in seen.items()}
-        return TeamView(ego, t, true_ego, estimates, truth, f"peers of {ego}, placed at its true pose")
-    here = np.zeros((len(t), 3))
-    note = f"peers in the moving frame of {ego}"
-    return TeamView(
-        ego, t, here, {ego: here, **seen}, {}, note, f"forward of {ego} [m]", f"left of {ego} [m]"
-    )
+        ego_pose = inverse(world.pose[late])
+        note, known = f"estimated by {ego} in the start frame", {ego: ego_pose}
+    elif np.isfinite(truth_at(records.truth, ego, t)).any():
+        ego_pose = truth[ego]
+        note, known = f"peers of {ego}, placed at its true pose", {}
+    else:
+        ego_pose, truth = np.zeros((len(t), 3)), {}
+        note, known = f"peers in the moving frame of {ego}", {ego: ego_pose}
+        labels = f"forward of {ego} [m]", f"left of {ego} [m]"
+    estimates = known | {peer: compose(ego_pose, pose) for peer, pose in seen.items()}
+    return TeamView(ego, t, ego_pose, estimates, truth, note, labels, float(stamps[0]))
 
 
 def decorate(axes: Axes, view: TeamView, title: str) -> None:
     """Equal scales, units, the title and which frame this is."""
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
-    axes.set(xlabel=view.x_label, ylabel=view.y_label)
+    axes.set(xlabel=view.labels[0], ylabel=view.labels[1])
     axes.set_title(title, pad=18)
     axes.annotate(view.note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=8, color=GREY)
-
-
-def _spread(at: Array, pose: Array, t: Array) -> Array:
-    """Rows of a record on all ticks, NaN where it has none."""
-    out = np.full((len(t), 3), np.nan)
-    out[np.searchsorted(t, at)] = pose
-    return out

@@ -30,7 +30,7 @@ def draw_graph(
     figure: Figure, axes: Axes, estimate: Estimate, view: TeamView, colors: dict[str, str]
 ) -> None:
     """Robots with heading and 95 % ellipse; edges styled by kind, coloured by residual."""
-    decorate(axes, view, f"Optimised graph at {estimate.stamp:.1f} s")
+    decorate(axes, view, f"Optimised graph after {estimate.stamp - view.start:.1f} s")
     T_view_ego = view.ego_pose[-1]
     if not np.isfinite(T_view_ego).all():
         what = f"{estimate.robot} has no place here at the last tick"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgorl.evaluation.records import Records
-from dgorl.plotting.frames import TeamView, decorate, team_view
+from dgorl.plotting.frames import LONGEST, TeamView, decorate, team_view
 from dgorl.plotting.graph import draw_graph
 from dgorl.plotting.labels import write_names
 from dgorl.plotting.style import GREY, TRUTH, arrowhead, colors_of, picture
@@ -62,7 +62,7 @@ def draw_paths(axes: Axes, view: TeamView, colors: dict[str, str]) -> None:
     ]
     if view.truth:
         handles.insert(1, Line2D([], [], color=TRUTH, lw=3.0, label="truth"))
-    decorate(axes, view, "Trajectories")
+    decorate(axes, view, "Trajectories" + (f", last {LONGEST:.0f} s" if view.t[0] > view.start else ""))
     axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4, columnspacing=1.4)
 
 
