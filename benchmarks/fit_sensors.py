@@ -20,7 +20,7 @@ from scipy.optimize import least_squares, minimize, nnls
 
 from dgorl import Bearing, Displacement, Odometry, Range, _core, logs, se2
 from dgorl.configuration import Motion
-from dgorl.evaluation.bounds import interpolate
+from dgorl.evaluation.records import truth_at
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, motion_values, odometry_row
 
@@ -34,13 +34,9 @@ def increments(rows: Array, motion: Motion, truth: Array, seconds: float) -> tup
     for track in trail.tracks:
         delta, _ = _core.odometry([track], [track.first], [track.last])
         stamps = np.arange(track.first, track.last + 1) / KEYFRAMES_PER_SECOND
-        near = np.searchsorted(truth[:, 0], stamps)
-        inside = (near > 0) & (near < len(truth))
-        gap = np.full(len(stamps), np.inf)
-        gap[inside] = truth[near[inside], 0] - truth[near[inside] - 1, 0]
-        poses = interpolate(truth, stamps)
+        poses = truth_at({"": truth}, "", stamps)
         for k in range(0, len(delta) - span, span):
-            if gap[k] < 0.5 and gap[k + span] < 0.5:
+            if np.isfinite(poses[[k, k + span]]).all():
                 part = delta[k : k + span]
                 measured.append(_core.chain(np.zeros(3), part)[-1])
                 true.append(se2.between(poses[k], poses[k + span]))
@@ -91,7 +87,10 @@ def fit_pairs(log: logs.Log, truth: dict[str, Array], kind: type[Range] | type[B
         if isinstance(m, kind):
             a, b = (m.robot, m.peer) if isinstance(m, Range) else (m.observer, m.target)  # type: ignore[union-attr]
             if a in truth and b in truth:
-                T = se2.between(interpolate(truth[a], np.array([m.stamp])), interpolate(truth[b], np.array([m.stamp])))[0]
+                stamp = np.array([m.stamp])
+                T = se2.between(truth_at(truth, a, stamp), truth_at(truth, b, stamp))[0]
+                if not np.isfinite(T).all():
+                    continue
                 if isinstance(m, Range):
                     found.append((m.range, np.hypot(T[0], T[1])))
                 else:

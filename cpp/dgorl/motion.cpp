@@ -95,7 +95,7 @@ Step bridge(const Vector3& twist, double start, double end, double origin, const
 
 Step predict(const Vector3& twist, double start, double end, const MotionModel& m) {
   const double age = end - start;
-  return {start, end, start, exp(twist * age).vec(), unknown_noise(age, m)};
+  return {start, end, start, exp(twist * age).vec(), twist_noise(age, m)};
 }
 
 Matrix3 inverse_adjoint(const Pose& d) {

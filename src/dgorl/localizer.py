@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from math import sqrt
+from math import degrees, hypot, isfinite, sqrt
 
 import numpy as np
 
@@ -132,11 +132,11 @@ def _current(history: History, robot: str, now: float) -> Track | None:
 def _status(pose: Array, covariance: Array, configuration: Configuration) -> tuple[Status, str]:
     """Status of a joined peer, from its posterior alone. METHOD §3."""
     limits = configuration.status
-    (a, b), (_, d) = covariance[:2, :2]
+    (x, y, _), ((a, b, _), (_, d, _), (_, _, t)) = pose.tolist(), covariance.tolist()
     sigma = sqrt(max((a + d) / 2 + sqrt(((a - d) / 2) ** 2 + b * b), 0.0))
-    accuracy = max(limits.accuracy, limits.accuracy_per_metre * float(np.hypot(pose[0], pose[1])))
-    heading = float(np.degrees(np.sqrt(covariance[2, 2])))
-    if not (np.isfinite(sigma) and np.isfinite(heading)) or sigma > accuracy:
+    accuracy = max(limits.accuracy, limits.accuracy_per_metre * hypot(x, y))
+    heading = degrees(sqrt(max(t, 0.0)))
+    if not (isfinite(sigma) and isfinite(heading)) or sigma > accuracy:
         return Status.UNOBSERVABLE, f"position 1σ {sigma:.2f} m exceeds {accuracy:.2f} m"
     if heading > limits.heading:
         return Status.POSITION, f"heading 1σ {heading:.0f}° exceeds {limits.heading:.0f}°"

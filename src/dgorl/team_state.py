@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgorl import _core, se2
+from dgorl import _core
 from dgorl.history import WORLD_KEY, History
 from dgorl.optimization import native
 from dgorl.optimization.problem import Indices, Solution
@@ -15,7 +15,7 @@ from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, Window, assemble
 
-TOLERANCE = 1e-7
+TOLERANCE = 1e-5
 """Largest last step of a tick's optimisation [m, rad]."""
 
 
@@ -36,18 +36,8 @@ class TeamState:
     def relative(self, ego: TrackKey) -> Mapping[TrackKey, tuple[Array, Array]]:
         """T_ego_j (3,) and its covariance (3, 3) of (x, y, theta) in the ego's frame, for every other member."""
         e = self.members.index(ego)
-        relative = se2.between(self.poses[e], self.poses)
-        n = len(self.members)
-        blocks = self.covariance.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
-        back = se2.adjoint(se2.inverse(relative))
-        own = blocks[np.arange(n), np.arange(n)]
-        cross = blocks[:, e] @ back.transpose(0, 2, 1)
-        tangent = own - cross - cross.transpose(0, 2, 1) + back @ blocks[e, e] @ back.transpose(0, 2, 1)
-        turn = np.tile(np.eye(3), (n, 1, 1))
-        turn[:, :2, :2] = se2.rotation(relative[:, 2])
-        covariance = turn @ tangent @ turn.transpose(0, 2, 1)
-        covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
-        return {key: (relative[j], covariance[j]) for j, key in enumerate(self.members) if j != e}
+        poses, covariances = _core.relative(self.poses, self.covariance, e)
+        return {key: (poses[j], covariances[j]) for j, key in enumerate(self.members) if j != e}
 
 
 def team_state(history: History, component: Component, low: float, now: float) -> TeamState:
@@ -65,21 +55,12 @@ def joint_now(history: History, window: Window, now: float, solve: Callable[[Ind
     members = tuple(window.layout)
     last = np.array([window.index(key, tracks[key].core.newest(now)) for key in members], dtype=np.int64)
     solution = solve(last)
-    delta, noise = _core.carried([tracks[key].core for key in members], now, history.motion)
-    poses = se2.compose(solution.poses[last], delta)
-    covariance = _carried(solution.covariance, delta, noise)
+    cores = [tracks[key].core for key in members]
+    poses, covariance = _core.carry(cores, now, history.motion, solution.poses[last], solution.covariance)
     if window.world is not None:
         members = (*members, WORLD_KEY)
         poses = np.concatenate([poses, np.zeros((1, 3))])
-        covariance = np.pad(covariance, (0, 3))
+        grown = np.zeros((3 * len(members), 3 * len(members)))
+        grown[:-3, :-3] = covariance
+        covariance = grown
     return TeamState(now, members, poses, covariance, window, solution)
-
-
-def _carried(covariance: Array, delta: Array, noise: Array) -> Array:
-    """Joint covariance (3n, 3n) of poses X_j after each moved by delta_j (n, 3) with noise_j (n, 3, 3)."""
-    n = len(delta)
-    back = se2.adjoint(se2.inverse(delta))
-    blocks = covariance.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
-    moved = back[:, None] @ blocks @ back[None].transpose(0, 1, 3, 2)
-    moved[np.arange(n), np.arange(n)] += noise
-    return np.asarray(moved.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n))

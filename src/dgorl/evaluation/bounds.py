@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dgorl import se2
 from dgorl.configuration import Configuration
+from dgorl.evaluation.records import truth_at
 from dgorl.history import WORLD_KEY, History
 from dgorl.logs.log import Log
 from dgorl.measurements import Measurement, known_at
@@ -23,24 +23,13 @@ from dgorl.tracks import KEYFRAMES_PER_SECOND
 from dgorl.window import Window, assemble, grow
 
 
-def interpolate(truth: Array, stamps: Array) -> Array:
-    """True poses (M, 3) at stamps (M,) from rows (T, 4) of t, x, y, theta; the heading on the circle."""
-    t = truth[:, 0]
-    k = np.clip(np.searchsorted(t, stamps, "right") - 1, 0, max(len(t) - 2, 0))
-    step = np.maximum(t[np.minimum(k + 1, len(t) - 1)] - t[k], 1e-12)
-    share = np.clip((stamps - t[k]) / step, 0.0, 1.0)[:, None]
-    following = truth[np.minimum(k + 1, len(t) - 1), 1:]
-    poses = truth[k, 1:] + share * (following - truth[k, 1:])
-    poses[:, 2] = truth[k, 3] + share[:, 0] * se2.wrap(following[:, 2] - truth[k, 3])
-    return poses
-
-
 def bound(
     log: Log, configuration: Configuration, starts: list[Measurement], stamps: Array
 ) -> Mapping[tuple[str, str], Array]:
     """Covariance (T, 3, 3) that no unbiased estimator of T_ego_peer at ``stamps`` (T,) can undercut, by (ego, peer).
 
     The covariance is of (x, y, theta) in the ego's true frame; pairs not linked to one another are left out.
+    Raises ValueError where the log's truth does not cover its odometry.
     """
     history = History(replace(configuration, window="all", history=float("inf")))
     waiting = sorted([*starts, *log.measurements], key=known_at)
@@ -66,7 +55,7 @@ def _state_at_truth(history: History, window: Window, log: Log, now: float) -> T
     poses = np.array(window.problem.initial)
     for key, (offset, first, count) in window.layout.items():
         stamps = np.maximum(np.arange(first, first + count) / KEYFRAMES_PER_SECOND, key.begin)
-        poses[offset : offset + count] = interpolate(log.truth[key.robot], stamps)
+        poses[offset : offset + count] = truth_at(log.truth, key.robot, stamps)
 
     def at_truth(select: Indices) -> Solution:
         return Solution(poses, 0.0, 0, "truth", native.covariance(window.problem, poses, select))
