@@ -38,28 +38,22 @@ void BlockCholesky::forward(Eigen::Ref<Matrix> x, int first, int last) const {
 }
 
 void BlockCholesky::solve(Vector& x) const {
+  using Column = Eigen::Map<const Vector>;
   for (int b = 0; b < layout_.blocks(); ++b) {
     const Panel& p = layout_.panel(b);
     const double* column = values_.data() + p.offset;
-    double* head = x.data() + p.start;
     for (int k = 0; k < p.size; ++k, column += p.rows) {
-      head[k] /= column[k];
-      for (int r = k + 1; r < p.rows; ++r) head[r] -= column[r] * head[k];
+      const int below = p.rows - k - 1, at = p.start + k;
+      const double xk = x[at] /= column[k];
+      x.segment(at + 1, below).noalias() -= xk * Column(column + k + 1, below);
     }
   }
   for (int b = layout_.blocks() - 1; b >= 0; --b) {
     const Panel& p = layout_.panel(b);
-    double* head = x.data() + p.start;
     for (int k = p.size - 1; k >= 0; --k) {
       const double* column = values_.data() + p.offset + k * p.rows;
-      double even = 0.0, odd = 0.0;
-      int r = k + 1;
-      for (; r + 1 < p.rows; r += 2) {
-        even += column[r] * head[r];
-        odd += column[r + 1] * head[r + 1];
-      }
-      if (r < p.rows) even += column[r] * head[r];
-      head[k] = (head[k] - (even + odd)) / column[k];
+      const int below = p.rows - k - 1, at = p.start + k;
+      x[at] = (x[at] - Column(column + k + 1, below).dot(x.segment(at + 1, below))) / column[k];
     }
   }
 }

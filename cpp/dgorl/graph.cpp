@@ -37,20 +37,20 @@ double group_cost(const Prior& prior, const Pose* poses) { return prior.cost(pos
 template <class Factor>
 void linearize_group(const Group<Factor>& group, const Pose* poses, Weighting weighting, int blocks,
                      NormalEquations& normal) {
-  const bool newton = weighting == Weighting::kNewton;
+  Jacobians<Factor::kDim> jac;
+  Curvature second;
+  Curvature* curvature = weighting == Weighting::kNewton ? &second : nullptr;
   double sum = 0.0;
   for (std::size_t k = 0; k < group.factors.size(); ++k) {
     const Edge& edge = group.edges[k];
     if (edge.first_block >= blocks && blocks != kNoBlock) continue;
-    Jacobians<Factor::kDim> jac;
-    Curvature curvature;
-    const auto e = group.factors[k](poses[edge.i], poses[edge.j], &jac, newton ? &curvature : nullptr);
+    const auto e = group.factors[k](poses[edge.i], poses[edge.j], &jac, curvature);
     const double s = e.squaredNorm();
     Kernel::Rho rho{s, 1.0, 1.0};
     if (group.kernel.applies(e[0])) rho = group.kernel(s);
     sum += rho.value;
-    add_factor<Factor::kDim>(edge, jac, e, rho.weight, Kernel::hessian_weight(rho, weighting), normal);
-    if (newton) add_curvature(edge, curvature, rho.weight, normal);
+    add_factor<Factor::kDim>(edge, jac, curvature, e, rho.weight, Kernel::hessian_weight(rho, weighting),
+                             normal);
   }
   normal.cost += 0.5 * sum;
 }

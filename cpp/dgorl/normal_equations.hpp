@@ -38,44 +38,42 @@ struct Edge {
 };
 
 // Adds J'g and J'WJ, W = weight I + (along - weight) u u' with u the direction of the residual: gradient and
-// Hessian of rho / 2 (Triggs et al. 2000), for whitened Jacobians and g = rho' e.
+// Hessian of rho / 2 (Triggs et al. 2000), for whitened Jacobians and g = rho' e. The Hessian gets the
+// residual's own curvature too, where there is one.
 template <int Dim>
-void add_factor(const Edge& edge, const Jacobians<Dim>& jac, const Eigen::Matrix<double, Dim, 1>& e,
-                double weight, double along, NormalEquations& normal) {
-  Jacobians<Dim> weighted{weight * jac.i, weight * jac.j};
+void add_factor(const Edge& edge, const Jacobians<Dim>& jac, const Curvature* curvature,
+                const Eigen::Matrix<double, Dim, 1>& e, double weight, double along,
+                NormalEquations& normal) {
+  const double whole = Dim == 1 ? along : weight;
+  Jacobians<Dim> weighted{whole * jac.i, whole * jac.j};
   if (Dim > 1 && along != weight) {
     const Eigen::Matrix<double, Dim, 1> scaled = e * ((along - weight) / e.squaredNorm());
     weighted.i += scaled * (e.transpose() * jac.i);
     weighted.j += scaled * (e.transpose() * jac.j);
-  } else if (Dim == 1 && along != weight) {
-    weighted = {along * jac.i, along * jac.j};
   }
   const Eigen::Matrix<double, Dim, 1> slope = weight * e;
+  Matrix3 block;
   if (edge.start_i >= 0) {
     normal.gradient.segment<3>(edge.start_i) += jac.i.transpose() * slope;
-    normal.add(edge.ii, jac.i.transpose() * weighted.i);
+    block.noalias() = jac.i.transpose() * weighted.i;
+    if (curvature) block += weight * curvature->ii;
+    normal.add(edge.ii, block);
   }
   if (edge.start_j >= 0) {
     normal.gradient.segment<3>(edge.start_j) += jac.j.transpose() * slope;
-    normal.add(edge.jj, jac.j.transpose() * weighted.j);
+    block.noalias() = jac.j.transpose() * weighted.j;
+    if (curvature) block += weight * curvature->jj;
+    normal.add(edge.jj, block);
   }
-  if (edge.ij.offset >= 0) {
-    if (edge.j_is_row)
-      normal.add(edge.ij, jac.j.transpose() * weighted.i);
-    else
-      normal.add(edge.ij, jac.i.transpose() * weighted.j);
-  }
-}
-
-inline void add_curvature(const Edge& edge, const Curvature& curvature, double weight,
-                          NormalEquations& normal) {
-  if (edge.start_i >= 0) normal.add(edge.ii, weight * curvature.ii);
-  if (edge.start_j >= 0) normal.add(edge.jj, weight * curvature.jj);
   if (edge.ij.offset < 0) return;
-  if (edge.j_is_row)
-    normal.add(edge.ij, weight * curvature.ij.transpose());
-  else
-    normal.add(edge.ij, weight * curvature.ij);
+  if (edge.j_is_row) {
+    block.noalias() = jac.j.transpose() * weighted.i;
+    if (curvature) block += weight * curvature->ij.transpose();
+  } else {
+    block.noalias() = jac.i.transpose() * weighted.j;
+    if (curvature) block += weight * curvature->ij;
+  }
+  normal.add(edge.ij, block);
 }
 
 }  // namespace dgorl

@@ -10,9 +10,11 @@ namespace dgorl {
 namespace {
 
 constexpr double kRounding = 1e-13;      // relative cost increase that is not one
-constexpr double kNegligible = 1e-8;     // damping below this is dropped: the last steps are Newton's
+constexpr double kNegligible = 1e-6;     // damping below this is dropped: the last steps are Newton's
 constexpr double kSmallestRaise = 1e-6;  // where damping starts again after it was dropped
+constexpr double kGaugeDamping = 1e-8;   // enough to make a graph without a gauge regular
 constexpr double kLargestDamping = 1e12;
+constexpr double kSafety = 1e-3;
 constexpr double kClose = 0.1;  // a Gauss-Newton step below this [m, rad] lets Newton try again
 
 // The paper's damping rule: a smaller error lowers lambda, a larger one raises it, ever faster.
@@ -70,65 +72,82 @@ double Optimizer::apply(const std::vector<Pose>& from, std::vector<Pose>& to) co
   return step_.size() ? step_.cwiseAbs().maxCoeff() : 0.0;
 }
 
+void Optimizer::linearize(const std::vector<Pose>& poses, Weighting weighting) {
+  weighting_ = weighting;
+  graph_.linearize(poses.data(), weighting, normal_);
+}
+
+// One step from `poses`, which it replaces where it is short or accepted.
+Optimizer::Outcome Optimizer::try_step(std::vector<Pose>& poses, double damping, const Options& options) {
+  if (cholesky_.factorize(normal_.hessian, damping) >= 0) return Outcome::kSingular;
+  step_ = normal_.gradient;
+  cholesky_.solve(step_);
+  const double before = length_;
+  length_ = apply(poses, trial_);
+  if (length_ < options.step_tolerance) return Outcome::kShort;
+
+  const double limit = normal_.cost + kRounding * (std::abs(normal_.cost) + scale_);
+  // Newton's steps shrink as C length^2; where the next one would be far below the tolerance it is not
+  // needed.
+  const double next = length_ * (length_ / before) * (length_ / before);
+  if (weighting_ == Weighting::kNewton && damping == 0.0 && next < kSafety * options.step_tolerance) {
+    trial_normal_.cost = graph_.cost(trial_.data());
+    if (trial_normal_.cost <= limit) return Outcome::kShort;
+  } else {
+    graph_.linearize(trial_.data(), weighting_, trial_normal_);
+  }
+  if (!(trial_normal_.cost <= limit)) return Outcome::kRejected;
+  std::swap(poses, trial_);
+  std::swap(normal_, trial_normal_);
+  return Outcome::kAccepted;
+}
+
 // Newton's Hessian while it is positive definite and its steps lower the cost, Gauss-Newton's otherwise.
 Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
   Result result;
   Damping damping{options.initial_damping};
-  Weighting weighting = Weighting::kNewton;
   trial_ = poses;
-  graph_.linearize(poses.data(), weighting, normal_);
-  const double start_cost = result.cost = normal_.cost;
+  linearize(poses, Weighting::kNewton);
+  scale_ = std::abs(normal_.cost);
+  length_ = 0.0;
+  bool solved = false;         // at least once
+  bool full_rejected = false;  // the least damped step from here
   result.reason = Reason::kFailed;
-  if (!std::isfinite(start_cost)) return result;
-  bool solved = false;  // at least once
-  while (result.iterations < options.max_iterations) {
-    if (damping.value > kLargestDamping) {
-      if (solved) result.reason = Reason::kStalled;
+  if (!std::isfinite(normal_.cost)) return result;
+  while (result.iterations < options.max_iterations && damping.value <= kLargestDamping) {
+    ++result.iterations;
+    const Outcome outcome = try_step(poses, damping.value, options);
+    solved = solved || outcome != Outcome::kSingular;
+    if (outcome == Outcome::kShort && (damping.value == damping.floor || full_rejected)) {
+      std::swap(poses, trial_);
+      result.cost = graph_.cost(poses.data());
+      result.reason = full_rejected ? Reason::kStalled : Reason::kConverged;
       return result;
     }
-    ++result.iterations;
-    const bool regular = cholesky_.factorize(normal_.hessian, damping.value) < 0;
-    double length = 0.0;
-    if (regular) {
-      solved = true;
-      step_ = normal_.gradient;
-      cholesky_.solve(step_);
-      length = apply(poses, trial_);
-      if (length < options.step_tolerance) {
-        // A damped step may be short because it is damped: only an undamped one, where there is one, ends it.
-        if (damping.value > damping.floor) {
-          damping.value = damping.floor;
-          continue;
-        }
-        std::swap(poses, trial_);
-        result.cost = graph_.cost(poses.data());
-        result.reason = Reason::kConverged;
-        return result;
+    if (outcome == Outcome::kShort) {  // perhaps only because it is damped
+      damping.value = damping.floor;
+    } else if (outcome == Outcome::kAccepted) {
+      damping.lower();
+      full_rejected = false;
+      if (weighting_ != Weighting::kNewton && length_ < kClose) {
+        linearize(poses, Weighting::kNewton);
+        length_ = 0.0;
       }
-      graph_.linearize(trial_.data(), weighting, trial_normal_);
-      const double rounding = kRounding * (std::abs(normal_.cost) + std::abs(start_cost));
-      if (trial_normal_.cost <= normal_.cost + rounding) {
-        std::swap(poses, trial_);
-        std::swap(normal_, trial_normal_);
-        result.cost = normal_.cost;
-        damping.lower();
-        if (weighting != Weighting::kNewton && length < kClose) {
-          weighting = Weighting::kNewton;
-          graph_.linearize(poses.data(), weighting, normal_);
-        }
-        continue;
-      }
+    } else if (weighting_ == Weighting::kNewton) {
+      linearize(poses, Weighting::kTriggs);
+      length_ = 0.0;
+    } else {
+      full_rejected = full_rejected || (outcome == Outcome::kRejected && damping.value == damping.floor);
+      // A graph without a gauge is singular everywhere: keep the least damping that makes it regular.
+      if (outcome == Outcome::kSingular && damping.value == 0.0) damping.floor = kGaugeDamping;
+      damping.raise();
     }
-    if (weighting == Weighting::kNewton) {
-      weighting = Weighting::kTriggs;
-      graph_.linearize(poses.data(), weighting, normal_);
-      continue;
-    }
-    // A graph without a gauge is singular everywhere: keep the least damping that makes it regular.
-    if (!regular && damping.value == 0.0) damping.floor = kNegligible;
-    damping.raise();
   }
-  result.reason = Reason::kMaxIterations;
+  result.cost = normal_.cost;
+  if (damping.value <= kLargestDamping)
+    result.reason = Reason::kMaxIterations;
+  else if (solved)
+    result.reason = Reason::kStalled;
   return result;
 }
 

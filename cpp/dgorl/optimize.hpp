@@ -9,12 +9,13 @@ namespace dgorl {
 
 struct Options {
   int max_iterations = 50;
-  double step_tolerance = 1e-9;  // largest component of a step [m, rad]
+  double step_tolerance = 1e-9;  // largest component of the last step or of the one left out [m, rad]
   double initial_damping = 1e-6;
 };
 
 void check(const Options& options);
 
+// converged: the last step was short, or Newton's convergence says that the next one would be.
 enum class Reason { kConverged, kStalled, kMaxIterations, kFailed };
 const char* name(Reason reason);
 
@@ -35,6 +36,10 @@ class Optimizer {
   Matrix covariance(const std::vector<Pose>& poses, const std::vector<int>& select);
 
  private:
+  enum class Outcome { kSingular, kShort, kAccepted, kRejected };
+
+  void linearize(const std::vector<Pose>& poses, Weighting weighting);
+  Outcome try_step(std::vector<Pose>& poses, double damping, const Options& options);
   double apply(const std::vector<Pose>& from, std::vector<Pose>& to) const;
 
   const Graph& graph_;
@@ -42,6 +47,9 @@ class Optimizer {
   BlockCholesky cholesky_;
   Vector step_;
   std::vector<Pose> trial_;
+  Weighting weighting_ = Weighting::kNewton;
+  double scale_ = 0.0;   // of the cost at the start
+  double length_ = 0.0;  // of the last step
 };
 
 }  // namespace dgorl

@@ -1,9 +1,10 @@
-"""The numerical core (C++): window graphs of SE(2) poses, their optimum, covariances and marginals. METHOD §1, §2, §5.
+"""The numerical core (C++): window graphs of SE(2) poses, their optimum and marginals. METHOD §1, §2, §5.
 
 Poses are (x, y, θ) [m, m, rad] in one common frame; perturbations are on the right, X·Exp(ξ), ξ = (x, y, θ).
-Arrays are float64 or int64 and C-contiguous, others are converted; each family of factors is added in one call with
-one row per factor. Every argument is checked: ValueError names it, ``ranges.sigma: must be positive (row 3)``.
-Results are the same bits on every run. The heavy calls release the GIL; a graph may be read from several threads.
+Arrays are float64 or int64 and C-contiguous, others are converted; each family of factors is added in one
+call with one row per factor. Every argument is checked: ValueError names it, as in
+``ranges.sigma: must be positive (row 3)``. Results are the same bits on every run. The heavy calls release
+the GIL; a graph may be read from several threads.
 """
 
 from typing import Literal, final
@@ -19,9 +20,9 @@ NONE: int
 HUBER: int
 CAUCHY: int
 HUBER_NEGATIVE: int
-"""Huber where the residual is negative (long NLOS range, weak RSSI), quadratic elsewhere; scalar factors only."""
+"""Huber where the residual is negative (long NLOS range, weak RSSI), else quadratic; scalar factors only."""
 CAUCHY_NEGATIVE: int
-"""Cauchy where the residual is negative, quadratic elsewhere; scalar factors only."""
+"""Cauchy where the residual is negative, else quadratic; scalar factors only."""
 
 @final
 class Solution:
@@ -40,7 +41,8 @@ class Solution:
     def reason(self) -> list[_Reason]:
         """(B,), why it stopped.
 
-        ``converged``: the last step was below the tolerance. ``stalled``: no step lowers the cost any more.
+        ``converged``: the last step was below the tolerance, or Newton's quadratic convergence says that the
+        next one would be, a thousand times over. ``stalled``: no step lowers the cost any more.
         ``failed``: the cost is not finite, or no damping makes the system regular.
         """
     @property
@@ -137,10 +139,10 @@ class Graph:
         information: ArrayLike,
         gradient: ArrayLike,
     ) -> None:
-        """Dense prior, as :meth:`marginalize` leaves it: ½ δᵀHδ + gᵀδ, δ_j = vec(Z_j⁻¹ X_ref⁻¹ X_j). METHOD §1.
+        """Dense prior, as marginalisation leaves it: ½ δᵀHδ + gᵀδ, δ_j = vec(Z_j⁻¹ X_ref⁻¹ X_j). METHOD §1.
 
-        reference: pose, or −1 for a prior on the members' own poses. members: (m,) poses. relative: (m, 3) the Z.
-        information: (3m, 3m) symmetric. gradient: (3m,).
+        reference: pose, or −1 for a prior on the members' own poses. members: (m,) poses.
+        relative: (m, 3), Z. information: (3m, 3m) symmetric. gradient: (3m,).
         """
     def optimize(
         self,
@@ -161,7 +163,7 @@ class Graph:
         step_tolerance: float = 1e-9,
         initial_damping: float = 1e-6,
     ) -> Solution:
-        """Optimise from one start (N, 3), with the joint covariance of the selected poses (m,) at the optimum.
+        """Optimise from one start (N, 3), with the joint covariance of the selected poses (m,) there.
 
         The cheapest way to have both. Raises ValueError when the graph leaves a pose undetermined.
         """
@@ -174,25 +176,26 @@ class Graph:
         ``prior``: (m, 3), the displacement δ itself [m, m, rad].
         """
     def covariance(self, poses: ArrayLike, select: ArrayLike) -> _Array:
-        """Joint covariance (3m, 3m) of the selected poses (m,), linearised at the poses (N, 3), in their right tangents.
+        """Joint covariance (3m, 3m) of the selected poses (m,) in their right tangents.
 
-        Robust factors count with their weights ρ'. Fixed poses have zero blocks. Cheap for poses of the last slots.
+        Linearised at the poses (N, 3); robust factors count with their weights ρ'. Fixed poses have zero
+        blocks. Cheap for poses of the last slots.
         Raises ValueError when the graph leaves a pose undetermined.
         """
     def marginalize(self, poses: ArrayLike, slot: int) -> tuple[_Indices, _Array, _Array]:
-        """Schur complement of the free poses before ``slot``, from the factors that touch one of them. METHOD §1.
+        """Schur complement of the free poses before ``slot``, from the factors that touch them. METHOD §1.
 
-        Linearised at the poses (N, 3), robust weights frozen. Returns the kept poses (k,), ascending: the free ones
-        those factors touch in ``slot`` or later; information (3k, 3k) and gradient (3k,) of what was eliminated, by
-        their right perturbations. Raises ValueError when an eliminated pose is undetermined.
+        Linearised at the poses (N, 3), robust weights frozen. Returns the kept poses (k,), ascending: the
+        free ones those factors touch in ``slot`` or later; information (3k, 3k) and gradient (3k,) by their
+        right perturbations. Raises ValueError when an eliminated pose is undetermined.
         """
     def gauss_newton_step(self, poses: ArrayLike) -> _Array:
-        """The undamped step (N, 3) as tangents, zero for fixed poses; robust weights as in :meth:`covariance`."""
+        """The undamped step (N, 3) as tangents, zero for fixed poses; weights as in :meth:`covariance`."""
     def hessian(self, poses: ArrayLike, exact: bool = False) -> tuple[_Array, _Array]:
         """Hessian (3F, 3F) and gradient (3F,) over the F free poses by index.
 
-        Gauss–Newton with robust weights, as in :meth:`covariance`; ``exact``: with all second derivatives, of the
-        cost along x += R ξ_xy, θ += ξ_θ.
+        Gauss–Newton with robust weights, as in :meth:`covariance`; ``exact``: with all second derivatives of
+        the cost along x += R ξ_xy, θ += ξ_θ.
         """
 
 def preintegrate(deltas: ArrayLike, covariances: ArrayLike, counts: ArrayLike) -> tuple[_Array, _Array]:
