@@ -1,7 +1,6 @@
 #include "dgorl/block_cholesky.hpp"
 
-#include <Eigen/Cholesky>
-#include <cmath>
+#include <algorithm>
 
 #include "dgorl/panel_cholesky.hpp"
 
@@ -17,8 +16,8 @@ ConstBlock BlockCholesky::coupling(int block) const {
   return {values_.data() + p.offset + p.size, p.rows - p.size, p.size, Eigen::OuterStride<>(p.rows)};
 }
 
-int BlockCholesky::factorize(const Vector& hessian, double damping, int blocks) {
-  values_ = hessian;
+int BlockCholesky::factorize(const Buffer& hessian, double damping, int blocks) {
+  std::copy_n(hessian.data(), hessian.size(), values_.data());
   for (int b = 0; b < blocks; ++b) {
     const Panel& p = layout_.panel(b);
     const int failed = factorize_panel(layout_, b, hessian.data(), damping, values_.data());

@@ -3,6 +3,7 @@
 // tail.
 #pragma once
 
+#include "dgorl/buffer.hpp"
 #include "dgorl/layout.hpp"
 
 namespace dgorl {
@@ -18,8 +19,8 @@ class BlockCholesky {
 
   // L L' = H + damping diag(H) for the first `blocks` blocks; what follows them gets their Schur complement.
   // Returns -1, or the pose whose variables are undetermined.
-  int factorize(const Vector& hessian, double damping, int blocks);
-  int factorize(const Vector& hessian, double damping) {
+  int factorize(const Buffer& hessian, double damping, int blocks);
+  int factorize(const Buffer& hessian, double damping) {
     return factorize(hessian, damping, layout_.blocks());
   }
 
@@ -34,7 +35,7 @@ class BlockCholesky {
 
  private:
   const Layout& layout_;
-  Vector values_;
+  Buffer values_;
 };
 
 }  // namespace dgorl

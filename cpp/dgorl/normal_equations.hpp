@@ -1,6 +1,8 @@
 // The normal equations H xi = -g of a linearised graph, and how a factor enters them.
 #pragma once
 
+#include <algorithm>
+
 #include "dgorl/block_cholesky.hpp"
 #include "dgorl/factors.hpp"
 #include "dgorl/kernels.hpp"
@@ -8,13 +10,14 @@
 namespace dgorl {
 
 struct NormalEquations {
-  Vector hessian, gradient;
+  Buffer hessian;
+  Vector gradient;
   double cost = 0.0;
 
   explicit NormalEquations(const Layout& layout) : hessian(layout.values()), gradient(layout.variables()) {}
 
   void set_zero() {
-    hessian.setZero();
+    std::fill_n(hessian.data(), hessian.size(), 0.0);
     gradient.setZero();
     cost = 0.0;
   }
