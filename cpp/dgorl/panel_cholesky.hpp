@@ -6,7 +6,7 @@
 namespace dgorl {
 
 // A pivot below this share of its diagonal entry is rounding: the variable is undetermined.
-constexpr double kSingular = 1e-14;
+constexpr double kSingular = 2e-13;
 
 // In place on `values`, which starts as a copy of `hessian`: damps the diagonal, D = L L', C <- C L^-T, and
 // the next slot's D <- D - C C'. Returns -1, or the row in the slot of the pivot that vanished.
