@@ -86,18 +86,22 @@ def main() -> None:
 
     print(f"{arguments.trials} trials, {arguments.robots} robots, steps {FIRST}…{arguments.steps}, known starts")
     least = column("bound", "square")
-    print(f"bound: position {np.sqrt(least.mean()):.3f} m, heading {np.degrees(np.sqrt(column('bound', 'heading').mean())):.2f}°")
+    turn = np.degrees(np.sqrt(column("bound", "heading").mean()))
+    print(f"bound: position {np.sqrt(least.mean()):.3f} m, heading {turn:.2f}°")
     for window in map(str, WINDOWS):
         square = column(window, "square")
         low, high = interval(square, least)
+        inside, whole = 100 * column(window, "inside").mean(), column(window, "nees").mean()
+        rmse, turn = np.sqrt(square.mean()), np.degrees(np.sqrt(column(window, "heading").mean()))
         print(
-            f"window {window}: position RMSE {np.sqrt(square.mean()):.3f} m, ÷ bound {np.sqrt(square.mean() / least.mean()):.3f}"
-            f" [{low:.3f}, {high:.3f}]; heading {np.degrees(np.sqrt(column(window, 'heading').mean())):.2f}°;"
-            f" in 95 % ellipse {100 * column(window, 'inside').mean():.1f} %; NEES {column(window, 'nees').mean():.2f} of 3"
+            f"window {window}: position RMSE {rmse:.3f} m, ÷ bound {rmse / np.sqrt(least.mean()):.3f}"
+            f" [{low:.3f}, {high:.3f}]; heading {turn:.2f}°;"
+            f" in 95 % ellipse {inside:.1f} %; NEES {whole:.2f} of 3"
         )
     short, whole = column(str(WINDOWS[1]), "square"), column(str(WINDOWS[0]), "square")
     low, high = interval(short, whole)
-    print(f"window {WINDOWS[1]} ÷ window all, same logs: {np.sqrt(short.mean() / whole.mean()):.4f} [{low:.4f}, {high:.4f}]")
+    ratio = np.sqrt(short.mean() / whole.mean())
+    print(f"window {WINDOWS[1]} ÷ window all, same logs: {ratio:.4f} [{low:.4f}, {high:.4f}]")
 
 
 if __name__ == "__main__":

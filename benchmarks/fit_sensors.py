@@ -63,7 +63,9 @@ def fit_motion(log: logs.Log, truth: dict[str, Array]) -> Motion:
         return float(np.log1p((scaled**2).sum(axis=1) / 4).sum())
 
     start = [[1.0, 1.0, 0.1], [0.93, 1.0, 0.1], [1.0, 0.93, 0.1], [1.0, 1.0, 0.25]]
-    best = minimize(cost, start[0], method="Nelder-Mead", options={"initial_simplex": start, "xatol": 2e-3, "fatol": 0.5})
+    best = minimize(
+        cost, start[0], method="Nelder-Mead", options={"initial_simplex": start, "xatol": 2e-3, "fatol": 0.5}
+    )
     linear, angular, lag = (round(float(v), 3) for v in best.x)
     motion = replace(Motion(), linear_scale=linear, angular_scale=angular, lag=max(lag, 0.0))
     error, effort = errors(motion, 5.0)
@@ -101,7 +103,10 @@ def fit_pairs(log: logs.Log, truth: dict[str, Array], kind: type[Range] | type[B
     if kind is Bearing:
         fit = least_squares(lambda p: se2.wrap(raw + p[0] - true), [0.0], loss="cauchy", f_scale=0.01)
         error = se2.wrap(raw + fit.x[0] - true)
-        return {"offset": round(float(fit.x[0]), 4), "sigma": round(float(1.4826 * np.median(np.abs(error))), 4)}
+        return {
+            "offset": round(float(fit.x[0]), 4),
+            "sigma": round(float(1.4826 * np.median(np.abs(error))), 4),
+        }
     fit = least_squares(lambda p: p[0] * raw + p[1] - true, [1.0, 0.0], loss="cauchy", f_scale=0.05)
     error = fit.x[0] * raw + fit.x[1] - true
     scale, offset = (round(float(v), 3) for v in fit.x)

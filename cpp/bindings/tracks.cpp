@@ -66,7 +66,8 @@ nb::object locate(const std::vector<Trail*>& trails, nb::handle robots, nb::hand
                         to_numpy(std::move(offset), {n, 3}));
 }
 
-// Motion and information of the keyframe intervals first[k] ... last[k] of every track, one track after another.
+// Motion and information of the keyframe intervals first[k] ... last[k] of every track, one track after
+// another.
 nb::object odometry(const std::vector<TrackPtr>& tracks, const std::vector<std::int64_t>& first,
                     const std::vector<std::int64_t>& last) {
   if (first.size() != tracks.size() || last.size() != tracks.size())
@@ -82,7 +83,8 @@ nb::object odometry(const std::vector<TrackPtr>& tracks, const std::vector<std::
     }
   }
   const std::size_t rows = delta.size() / 3;
-  return nb::make_tuple(to_numpy(std::move(delta), {rows, 3}), to_numpy(std::move(information), {rows, 3, 3}));
+  return nb::make_tuple(to_numpy(std::move(delta), {rows, 3}),
+                        to_numpy(std::move(information), {rows, 3, 3}));
 }
 
 std::vector<Pose> to_poses(const RowArgument<3>& rows) {
@@ -150,9 +152,12 @@ void bind_tracks(nb::module_& m) {
           },
           "stamp"_a);
   nb::class_<Trail>(m, "Trail")
-      .def("__init__",
-           [](Trail* self, nb::handle motion, double silence) { new (self) Trail(motion_model(motion), silence); },
-           "motion"_a, "silence"_a)
+      .def(
+          "__init__",
+          [](Trail* self, nb::handle motion, double silence) {
+            new (self) Trail(motion_model(motion), silence);
+          },
+          "motion"_a, "silence"_a)
       .def_prop_ro("tracks", &Trail::tracks)
       .def("extend", &extend, "rows"_a)
       .def("restart", &Trail::restart)

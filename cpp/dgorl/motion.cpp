@@ -26,7 +26,9 @@ Matrix3 wheel_noise(const Vector3& delta, double duration, const MotionModel& m)
       .asDiagonal();
 }
 
-Matrix3 diagonal(double position, double heading) { return Vector3(position, position, heading).asDiagonal(); }
+Matrix3 diagonal(double position, double heading) {
+  return Vector3(position, position, heading).asDiagonal();
+}
 
 Matrix3 twist_noise(double age, const MotionModel& m) {
   return diagonal(square(m.predicted_speed_sigma * age) + square(m.position_per_second) * age,

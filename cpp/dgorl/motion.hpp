@@ -16,8 +16,8 @@ struct MotionModel {
   double maximum_speed, maximum_turn_rate, predicted_speed_sigma, predicted_turn_rate_sigma;
 };
 
-// Motion over [start, end] of constant twist; covariance of its right perturbation. origin: start of the odometry
-// that made it known, which for a bridged gap lies after it.
+// Motion over [start, end] of constant twist; covariance of its right perturbation. origin: start of the
+// odometry that made it known, which for a bridged gap lies after it.
 struct Step {
   double start, end, origin;
   Vector3 delta;
@@ -30,11 +30,12 @@ struct OdometryRow {
   std::int64_t epoch;
   bool twist;        // values are a twist (v, 0, omega), else a displacement
   Vector3 values;    // [m/s, m/s, rad/s] or [m, m, rad]
-  double stated[6];  // covariance of a displacement in the frame at its start, upper triangle; NaN where not stated
+  double stated[6];  // covariance of a displacement in the frame at its start, upper triangle; NaN where not
+                     // stated
 };
 
-Pose exp(const Vector3& twist);       // pose after one unit of time
-Vector3 log(const Vector3& delta);    // the twist that makes delta in one unit of time
+Pose exp(const Vector3& twist);     // pose after one unit of time
+Vector3 log(const Vector3& delta);  // the twist that makes delta in one unit of time
 Vector3 part(const Vector3& delta, double share);
 
 // Scaled, shifted by the wheels' lag, with its noise.
@@ -43,8 +44,8 @@ Step measured(const OdometryRow& row, const MotionModel& model);
 // The part of a step after a stamp inside it.
 Step after(const Step& step, double stamp);
 
-// A robot of which nothing is known between two stamps: short gaps go on with the last twist, longer ones know the
-// motion limits alone.
+// A robot of which nothing is known between two stamps: short gaps go on with the last twist, longer ones
+// know the motion limits alone.
 Step bridge(const Vector3& twist, double start, double end, double origin, const MotionModel& model);
 
 // The last twist carried on to a late robot's now, with noise growing with age.

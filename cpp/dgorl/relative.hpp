@@ -1,4 +1,5 @@
-// Poses of a team carried on in time and seen from one of its members, with their joint covariance. METHOD section 1.
+// Poses of a team carried on in time and seen from one of its members, with their joint covariance. METHOD
+// section 1.
 #pragma once
 
 #include <Eigen/Core>

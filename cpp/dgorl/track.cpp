@@ -1,7 +1,6 @@
 #include "dgorl/track.hpp"
 
 #include <Eigen/LU>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -108,7 +107,7 @@ void Trail::extend(const std::vector<OdometryRow>& rows) {
     Step step = measured(row, model_);
     Track* track = tracks_.empty() ? nullptr : tracks_.back().get();
     const bool begun = track != nullptr && !track->empty();
-    const double floor = begun ? track->end()
+    const double floor = begun   ? track->end()
                          : track ? static_cast<double>(track->first()) / kKeyframesPerSecond
                                  : -kInfinity;
     if (step.end <= floor + kRounding) continue;

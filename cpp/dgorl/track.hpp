@@ -20,8 +20,8 @@ struct KeyframeInterval {
   Matrix3 information;
 };
 
-// Steps rising in time, cut at the keyframes; keyframe k stands at k / 2 s. Before its first odometry a robot stands
-// still: the first keyframe is the last grid time at or before begin.
+// Steps rising in time, cut at the keyframes; keyframe k stands at k / 2 s. Before its first odometry a robot
+// stands still: the first keyframe is the last grid time at or before begin.
 class Track {
  public:
   Track(double begin, std::int64_t epoch);
@@ -74,8 +74,8 @@ class Trail {
   const std::vector<std::shared_ptr<Track>>& tracks() const { return tracks_; }
   const MotionModel& model() const { return model_; }
 
-  // Appends rows that follow on: overlap is cut off, short gaps are bridged, a new epoch or a gap longer than the
-  // silence begins a new track.
+  // Appends rows that follow on: overlap is cut off, short gaps are bridged, a new epoch or a gap longer than
+  // the silence begins a new track.
   void extend(const std::vector<OdometryRow>& rows);
   // Forgets all steps, to be built anew; what was dropped for good stays named.
   void restart();

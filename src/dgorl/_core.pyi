@@ -7,6 +7,7 @@ call with one row per factor. Every argument is checked: ValueError names it, as
 the GIL; a graph may be read from several threads.
 """
 
+from collections.abc import Sequence
 from typing import Literal, final
 
 import numpy as np
@@ -208,3 +209,68 @@ def preintegrate(deltas: ArrayLike, covariances: ArrayLike, counts: ArrayLike) -
 
 def chain(start: ArrayLike, deltas: ArrayLike) -> _Array:
     """start, start·δ₁, start·δ₁·δ₂ …: (3,) and (K, 3) to (K+1, 3)."""
+
+@final
+class Track:
+    """One robot's trajectory in one epoch: keyframes k at k / 2 s, joined by preintegrated odometry. METHOD §1."""
+
+    number: int
+    """what the caller's arrays call this track"""
+    @property
+    def begin(self) -> float:
+        """Start of its first odometry [s]."""
+    @property
+    def epoch(self) -> int: ...
+    @property
+    def first(self) -> int:
+        """Its first keyframe."""
+    @property
+    def last(self) -> int:
+        """Its newest keyframe."""
+    @property
+    def end(self) -> float:
+        """Until when odometry is known [s]."""
+    def known(self, stamp: float) -> float:
+        """Until when odometry that began before ``stamp`` tells of it, at most ``stamp`` [s]; −inf if none does."""
+    def newest(self, stamp: float) -> int:
+        """The newest keyframe known from odometry that began before ``stamp`` [s]."""
+    def locate(self, stamp: float) -> tuple[int, _Array]:
+        """Keyframe before ``stamp`` [s] and the pose (3,) at it in the keyframe's frame."""
+
+@final
+class Trail:
+    """All tracks of one robot. motion: (13,) as dgorl.tracks.motion_values; silence [s]: a longer gap ends a track."""
+
+    def __init__(self, motion: ArrayLike, silence: float) -> None: ...
+    @property
+    def tracks(self) -> list[Track]: ...
+    def extend(self, rows: ArrayLike) -> None:
+        """Append odometry that follows on.
+
+        rows: (S, 13) as start, end [s], epoch, 1 for a twist or 0 for a displacement, its three values (v, 0, ω) or
+        (dx, dy, dθ), and the covariance of a displacement in the frame at its start, NaN where it states none.
+        """
+    def restart(self) -> None:
+        """Forget all steps, to be built anew from rows."""
+    def forget(self, before: int) -> None:
+        """Drop what lies before keyframe ``before``."""
+
+def locate(trails: Sequence[Trail | None], robots: ArrayLike, stamps: ArrayLike) -> tuple[_Indices, _Indices, _Array]:
+    """Where stamps (M,) [s] fall on the tracks of their robots (M,), by index into trails.
+
+    Returns the tracks' numbers (M,), −1 where none covers the stamp, keyframes (M,) and offsets (M, 3).
+    """
+
+def odometry(tracks: Sequence[Track], first: Sequence[int], last: Sequence[int]) -> tuple[_Array, _Array]:
+    """Motion (K, 3) and information (K, 3, 3) between keyframes first … last of each track, one after another."""
+
+def carry(
+    tracks: Sequence[Track], stamp: float, motion: ArrayLike, poses: ArrayLike, covariance: ArrayLike
+) -> tuple[_Array, _Array]:
+    """Poses (n, 3) at the newest keyframes and their joint covariance (3n, 3n) carried on to ``stamp`` [s].
+
+    By odometry as far as it is known, then by the last twist with noise growing with age. METHOD §1, now.
+    """
+
+def relative(poses: ArrayLike, covariance: ArrayLike, ego: int) -> tuple[_Array, _Array]:
+    """T_ego_j of every member (n, 3) and the covariances (n, 3, 3) of their (x, y, θ) in the ego's frame. METHOD §1."""

@@ -240,7 +240,12 @@ def _convert(value: Any, hint: Any, source: str, name: str) -> Any:
         if value is None:
             return None
     elif hint is float:
-        if isinstance(value, int | float) and not isinstance(value, bool) and value == value and abs(value) != float("inf"):
+        if (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and value == value
+            and abs(value) != float("inf")
+        ):
             return float(value)
     elif hint is bool:
         if isinstance(value, bool):

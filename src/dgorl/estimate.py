@@ -24,7 +24,8 @@ class PeerEstimate:
     """One peer in the ego's body frame (x forward, y left) at the estimate's stamp.
 
     pose: (3,) of x, y, theta [m, m, rad], None while isolated or ambiguous without a guess. covariance: (3, 3) of
-    (x, y, theta) in the ego's frame. probability: of the best hypothesis. age: since its last odometry [s]. reason: why not tracked; resolve_by: what would help.
+    (x, y, theta) in the ego's frame. probability: of the best hypothesis. age: since its last odometry [s].
+    reason: why not tracked; resolve_by: what would help.
     """
 
     pose: Array | None

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import bisect
 from collections import Counter
-from collections.abc import Iterable
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
@@ -183,33 +182,36 @@ class History:
             if not in_order:
                 for table in self.tables.values():
                     table.displace(robot)
-        for rows in readings.values():
-            for reading in rows:
-                self._heard.setdefault(reading.a, len(self._heard))
-                self._heard.setdefault(reading.b, len(self._heard))
         trails = [self.trails[name].core if name in self.trails else None for name in self._heard]
         for kind, table in self.tables.items():
             dirty = min(dirty, table.add(readings[kind]))
-            table.place(trails, self._heard)
+            table.place(trails)
         return dirty
 
     def _rssi(self, m: Rssi) -> Reading:
         """METHOD §2: both directions share their shadowing, so each counts for less (correlation ρ)."""
         radio = self.configuration.radio
-        sigma = radio.sigma_db * float(np.sqrt(1.0 + radio.reciprocity))
-        return Reading(m.stamp, m.transmitter, m.receiver, m.dbm, sigma)
+        sigma = radio.sigma_db * sqrt(1.0 + radio.reciprocity)
+        return self._reading(m.stamp, m.transmitter, m.receiver, m.dbm, sigma)
 
     def _range(self, m: Range) -> Reading:
         ranging = self.configuration.ranging
         value = max(ranging.scale * m.range + ranging.offset, 0.0)
         sigma = m.sigma if ranging.sigma is None else ranging.sigma + ranging.sigma_per_metre * value
-        return Reading(m.stamp, m.robot, m.peer, value, sigma or DEFAULT_RANGE_SIGMA, m.exchange)
+        return self._reading(m.stamp, m.robot, m.peer, value, sigma or DEFAULT_RANGE_SIGMA, m.exchange)
 
     def _bearing(self, m: Bearing) -> Reading:
         bearings = self.configuration.bearings
         value = float(se2.wrap(m.bearing + bearings.offset))
         sigma = m.sigma if bearings.sigma is None else bearings.sigma
-        return Reading(m.stamp, m.observer, m.target, value, sigma or DEFAULT_BEARING_SIGMA)
+        return self._reading(m.stamp, m.observer, m.target, value, sigma or DEFAULT_BEARING_SIGMA)
+
+    def _reading(
+        self, stamp: float, a: str, b: str, value: float, sigma: float, exchange: int | None = None
+    ) -> Reading:
+        heard = self._heard
+        robots = heard.setdefault(a, len(heard)), heard.setdefault(b, len(heard))
+        return Reading(stamp, a, b, value, sigma, *robots, exchange)
 
 
 DEFAULT_RANGE_SIGMA = 0.15
@@ -221,5 +223,3 @@ DEFAULT_BEARING_SIGMA = 0.05
 
 def _pose_order(pose: RelativePose) -> tuple[object, ...]:
     return (pose.stamp, pose.reference, pose.robot, pose.x, pose.y, pose.theta, *pose.covariance, pose.prior)
-
-

@@ -93,7 +93,11 @@ class Localizer:
             status, reason = _status(pose, covariance, self.team.configuration)
             peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
         return Estimate(
-            self.robot, now, peers, dict(history.rejected), lambda: optimized_graph(self.robot, own, state, relative)
+            self.robot,
+            now,
+            peers,
+            dict(history.rejected),
+            lambda: optimized_graph(self.robot, own, state, relative),
         )
 
     def _peer(
@@ -141,5 +145,3 @@ def _status(pose: Array, covariance: Array, configuration: Configuration) -> tup
     if heading > limits.heading:
         return Status.POSITION, f"heading 1σ {heading:.0f}° exceeds {limits.heading:.0f}°"
     return Status.TRACKED, ""
-
-

@@ -8,7 +8,7 @@ fall between bins.
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,13 +25,18 @@ Order = tuple[float, str, str, float, float]
 
 
 class Reading(NamedTuple):
-    """One scalar measurement: sorts canonically. ``a`` measured or transmits as the kind says, ``b`` is the other."""
+    """One scalar measurement: sorts canonically. ``a`` measured or transmits as the kind says, ``b`` is the other.
+
+    robot_a, robot_b: the history's numbers of both.
+    """
 
     stamp: float
     a: str
     b: str
     value: float
     sigma: float
+    robot_a: int
+    robot_b: int
     exchange: int | None = None
 
     @property
@@ -67,13 +72,18 @@ class Table:
         self._best: dict[tuple[object, ...], tuple[tuple[object, ...], Reading]] = {}
         numbers = [Column((), np.int64) for _ in range(4)]
         self._columns = (Column(), Column(), Column(), *numbers, Column((3,)), Column((3,)))  # as in Rows
+        self._robots = (Column((), np.int64), Column((), np.int64))
         self._unplaced: set[int] = set()
 
     def __len__(self) -> int:
         return len(self._order)
 
-    def add(self, readings: Iterable[Reading]) -> float:
+    def add(self, readings: Sequence[Reading]) -> float:
         """Take readings; the earliest stamp [s] from which rows changed, infinity if none did."""
+        if self._thinning == 0 and all(reading.exchange is None for reading in readings):
+            if readings:
+                self._insert(sorted(readings))
+            return min((reading.stamp for reading in readings), default=np.inf)
         dirty = np.inf
         fresh: dict[tuple[object, ...], Reading] = {}
         removed = []
@@ -93,21 +103,18 @@ class Table:
         if removed:
             self._remove(removed)
         if fresh:
-            self._insert(sorted(fresh.values(), key=lambda r: r.order))
+            self._insert(sorted(fresh.values(), key=lambda reading: reading.order))
         return dirty
 
-    def place(self, trails: list[_core.Trail | None], number: Mapping[str, int]) -> None:
-        """Find keyframe and offset of both ends of every row that has none yet.
-
-        trails: the robots' trails; number: which of them is whose.
-        """
+    def place(self, trails: list[_core.Trail | None]) -> None:
+        """Find keyframe and offset of both ends of every row that has none yet, on the robots' trails by number."""
         if not self._unplaced:
             return
         rows = np.array(sorted(self._unplaced), dtype=np.int64)
         stamps = self._columns[0].view[rows]
         for end in (0, 1):
-            robots = np.array([number[self._names[row][end]] for row in rows], dtype=np.int64)
-            for column, found in zip((3, 5, 7), _core.locate(trails, robots, stamps), strict=True):
+            located = _core.locate(trails, self._robots[end].view[rows], stamps)
+            for column, found in zip((3, 5, 7), located, strict=True):
                 self._columns[column + end].view[rows] = found
         done = (self._columns[3].view[rows] != UNPLACED) & (self._columns[4].view[rows] != UNPLACED)
         self._unplaced.difference_update(rows[done].tolist())
@@ -118,8 +125,8 @@ class Table:
 
     def between(self, low: float, high: float) -> tuple[Rows, list[tuple[str, str]]]:
         """Views of the rows with low ≤ stamp ≤ high, and the names (a, b) of each."""
-        first = bisect.bisect_left(self._order, low, key=lambda order: order[0])
-        last = bisect.bisect_right(self._order, high, key=lambda order: order[0])
+        stamps = self._columns[0].view
+        first, last = int(np.searchsorted(stamps, low, "left")), int(np.searchsorted(stamps, high, "right"))
         return Rows(*(column.view[first:last] for column in self._columns)), self._names[first:last]
 
     def forget(self, before: float) -> None:
@@ -127,7 +134,7 @@ class Table:
         first = bisect.bisect_left(self._order, before, key=lambda order: order[0])
         if first:
             del self._order[:first], self._names[:first]
-            for column in self._columns:
+            for column in (*self._columns, *self._robots):
                 column.drop(first)
             self._unplaced = {row - first for row in self._unplaced if row >= first}
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp >= before}
@@ -148,10 +155,11 @@ class Table:
         in_order = not self._order or readings[0].order >= self._order[-1]
         base = len(self._order)
         count = len(readings)
-        self._order.extend(r.order for r in readings)
-        self._names.extend((r.a, r.b) for r in readings)
-        for column, values in zip(self._columns[:3], (0, 3, 4), strict=True):
-            column.extend(np.array([r[values] for r in readings]))
+        self._order.extend([reading.order for reading in readings])
+        self._names.extend([(r.a, r.b) for r in readings])
+        numbers = np.array([(r.stamp, r.value, r.sigma, r.robot_a, r.robot_b) for r in readings])
+        for k, column in enumerate((*self._columns[:3], *self._robots)):
+            column.extend(numbers[:, k])
         for column in self._columns[3:5]:
             column.extend(np.full(count, UNPLACED))
         for column in self._columns[5:7]:
@@ -172,7 +180,7 @@ class Table:
         """Replace everything from row ``first`` on by the given rows, in the given order."""
         self._order[first:] = [self._order[row] for row in rows]
         self._names[first:] = [self._names[row] for row in rows]
-        for column in self._columns:
+        for column in (*self._columns, *self._robots):
             column.rearrange(first, np.array(rows, dtype=np.int64))
         moved = {old: first + k for k, old in enumerate(rows) if old in self._unplaced}
         self._unplaced = {row for row in self._unplaced if row < first} | set(moved.values())

@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dgorl import _core, se2
+from dgorl.configuration import Bearings, Radio, Ranging
 from dgorl.history import WORLD_KEY, History
 from dgorl.measurements import RelativePose
 from dgorl.optimization.problem import DensePrior, Indices, Loss, Problem, RelativePoses, Scalars
 from dgorl.se2 import Array
+from dgorl.sightings import Rows
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey
 
 
@@ -207,7 +209,7 @@ def _joined(a: Component, b: Component, link: Link, tracks: Mapping[TrackKey, Tr
 def _pose_at(unit: Component, key: TrackKey, stamp: float, tracks: Mapping[TrackKey, Track]) -> Array:
     stretch = unit.stretches[key]
     if key == WORLD_KEY:
-        return stretch.poses[0]
+        return np.zeros(3)
     keyframe, offset = _located(tracks[key], stamp)
     return se2.compose(stretch.poses[keyframe - stretch.first], offset)
 
@@ -235,9 +237,7 @@ def _odometry(
     return i, i + 1, delta, information
 
 
-def _relative_poses(
-    links: tuple[Link, ...], window: Window, tracks: Mapping[TrackKey, Track]
-) -> RelativePoses | None:
+def _relative_poses(links: tuple[Link, ...], window: Window, tracks: Mapping[TrackKey, Track]) -> RelativePoses | None:
     if not links:
         return None
     links = tuple(sorted(links, key=lambda link: (link.stamp_robot, link.reference, link.robot, link.pose.x)))
@@ -290,28 +290,30 @@ def _scalars(
         antenna[number] = history.antenna(key.robot)
     found, labels = [], []
     configuration = history.configuration
-    losses = {"rssi": configuration.radio, "range": configuration.ranging, "bearing": configuration.bearings}
+    losses: dict[str, Radio | Ranging | Bearings] = {
+        "rssi": configuration.radio,
+        "range": configuration.ranging,
+        "bearing": configuration.bearings,
+    }
     for kind, table in history.tables.items():
+        if not len(table):
+            continue
         rows, names = table.between(low, limit)
-        use = (rows.stamp <= until[rows.track_a]) & (rows.stamp <= until[rows.track_b])
-        use &= (rows.keyframe_a >= first[rows.track_a]) & (rows.keyframe_b >= first[rows.track_b])
+        a, b = rows.track_a, rows.track_b
+        i, j = offset[a] + rows.keyframe_a - first[a], offset[b] + rows.keyframe_b - first[b]
+        use = rows.stamp <= np.minimum(until[a], until[b])
         if not use.any():
             continue
-        if use.all():
-            use = slice(None)  # type: ignore[assignment]
-        else:
+        if not use.all():
             names = [pair for pair, used in zip(names, use, strict=True) if used]
-        a, b = rows.track_a[use], rows.track_b[use]
-        at_a, at_b, height = rows.offset_a[use], rows.offset_b[use], np.zeros(len(a))
+            rows, a, b, i, j = Rows(*(column[use] for column in rows)), a[use], b[use], i[use], j[use]
+        at_a, at_b, height = rows.offset_a, rows.offset_b, np.zeros(len(a))
         if kind != "bearing" and antenna.any():
             at_a = np.concatenate([se2.transform(at_a, antenna[a, :2]), at_a[:, 2:]], axis=1)
             at_b = np.concatenate([se2.transform(at_b, antenna[b, :2]), at_b[:, 2:]], axis=1)
             height = antenna[a, 2] - antenna[b, 2]
-        i = offset[a] + rows.keyframe_a[use] - first[a]
-        j = offset[b] + rows.keyframe_b[use] - first[b]
-        loss = Loss(losses[kind].kernel, losses[kind].width)
-        found.append(Scalars(kind, i, j, at_a, at_b, height, rows.value[use], rows.sigma[use], loss))
-        labels.append((kind, tuple(names), rows.stamp[use]))
+        sensor = losses[kind]
+        loss = Loss(sensor.kernel, sensor.width)
+        found.append(Scalars(kind, i, j, at_a, at_b, height, rows.value, rows.sigma, loss))
+        labels.append((kind, tuple(names), rows.stamp))
     return tuple(found), tuple(labels)
-
-

@@ -109,9 +109,7 @@ def test_order_of_configuration(dgorl: Dgorl, small: Path, tmp_path: Path) -> No
     (log / "team.yaml").write_text(yaml.safe_dump(team), encoding="utf-8")
     settings = tmp_path / "mine.yaml"
     settings.write_text("window: 15\nperiod: 1.0\nradio: {sigma_db: 4.0}\n", encoding="utf-8")
-    done = dgorl(
-        "run", log, "--config", settings, "--period", 2, "--seed", 7, "--out", tmp_path / "o", "--json"
-    )
+    done = dgorl("run", log, "--config", settings, "--period", 2, "--seed", 7, "--out", tmp_path / "o", "--json")
     configuration = json.loads(done.stdout)["configuration"]
     assert configuration["radio"]["rssi_at_1m_dbm"] == -41.0
     assert configuration["radio"]["path_loss_exponent"] == 2.5
@@ -130,9 +128,7 @@ def test_measurements_are_chosen(dgorl: Dgorl, small: Path, tmp_path: Path) -> N
     assert json.loads(done.stdout)["measurements"] == ["bearing", "rssi"]
 
 
-def test_without_truth_the_errors_are_null_and_words_say_so(
-    dgorl: Dgorl, small: Path, tmp_path: Path
-) -> None:
+def test_without_truth_the_errors_are_null_and_words_say_so(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
     log = tmp_path / "log"
     shutil.copytree(small, log)
     truth = tmp_path / "truth.csv"
@@ -163,9 +159,7 @@ def test_one_robot(dgorl: Dgorl, tmp_path: Path) -> None:
     log = tmp_path / "log"
     log.mkdir()
     (log / "team.yaml").write_text("robots: [r1]\nstart: {r1: [0, 0, 0]}\n", encoding="utf-8")
-    (log / "odometry.csv").write_text(
-        "t,robot,v,omega\n0,r1,0.5,0.1\n1,r1,0.5,0\n2,r1,0,0\n", encoding="utf-8"
-    )
+    (log / "odometry.csv").write_text("t,robot,v,omega\n0,r1,0.5,0.1\n1,r1,0.5,0\n2,r1,0,0\n", encoding="utf-8")
     (log / "ranges.csv").write_text(NO_RANGES, encoding="utf-8")
     done = dgorl("run", log, "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
@@ -194,9 +188,7 @@ def test_empty_log(dgorl: Dgorl, tmp_path: Path) -> None:
         (["--config", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
     ],
 )
-def test_known_failures_are_one_line(
-    dgorl: Dgorl, small: Path, tmp_path: Path, options: list[str], what: str
-) -> None:
+def test_known_failures_are_one_line(dgorl: Dgorl, small: Path, tmp_path: Path, options: list[str], what: str) -> None:
     assert what in fails_well(dgorl("run", small, "--out", tmp_path / "o", *options))
 
 

@@ -52,7 +52,9 @@ def team_of(log: Log, configuration: Configuration) -> tuple[Team, list[Localize
     return team, [Localizer(robot, team=team) for robot in log.robots]
 
 
-def causal(log: Log, configuration: Configuration, stamps: Sequence[float], arrive: dict[int, float] | None = None) -> Flat:
+def causal(
+    log: Log, configuration: Configuration, stamps: Sequence[float], arrive: dict[int, float] | None = None
+) -> Flat:
     """Estimates at ``stamps`` when measurement k arrives at ``arrive[k]`` [s], by default as soon as it is known."""
     measurements = everything(log)
     arrival = [(arrive or {}).get(k, known_at(m)) for k, m in enumerate(measurements)]

@@ -149,7 +149,7 @@ def test_a_laggard_waits_for_the_next_node():
         team.add(measurement)
     assert flat(localizers, 36.5) == without
     later = flat(localizers, 41.5)
-    assert later == {k: v for k, v in causal(log, configuration, [41.5]).items()}
+    assert later == causal(log, configuration, [41.5])
 
 
 def test_a_window_says_nearly_what_all_data_says():
@@ -199,7 +199,10 @@ def test_nothing_of_the_truth_reaches_the_estimate(tmp_path):
     corrupted = tmp_path / "log" / "groundtruth.csv"
     lines = corrupted.read_text().splitlines()
     rows = [line.split(",") for line in lines[1:]]
-    wrong = [f"{t},{r},{float(x) + 50},{-float(y)},1.0" if float(t) > 0 else f"{t},{r},{x},{y},{th}" for t, r, x, y, th in rows]
+    wrong = [
+        f"{t},{r},{float(x) + 50},{-float(y)},1.0" if float(t) > 0 else f"{t},{r},{x},{y},{th}"
+        for t, r, x, y, th in rows
+    ]
     honest = read(tmp_path / "log")
     corrupted.write_text("\n".join([lines[0], *wrong]) + "\n")
     lying = read(tmp_path / "log")
@@ -215,7 +218,8 @@ def test_known_starts_are_priors_of_the_stated_size():
         assert start.reference == WORLD
         assert start.prior
         np.testing.assert_allclose(
-            np.sqrt([start.covariance[0], start.covariance[3], start.covariance[5]]), [0.05, 0.05, np.radians(1)]
+            np.sqrt([start.covariance[0], start.covariance[3], start.covariance[5]]),
+            [0.05, 0.05, np.radians(1)],
         )
 
 

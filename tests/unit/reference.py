@@ -45,9 +45,7 @@ def slant(x: Array, i: int, j: int, at_i: Array, at_j: Array, height: float) -> 
     return float(np.hypot(np.hypot(*ground), height))
 
 
-def metric_range(
-    i: int, j: int, at_i: Array, at_j: Array, height: float, measured: float
-) -> Callable[[Array], Array]:
+def metric_range(i: int, j: int, at_i: Array, at_j: Array, height: float, measured: float) -> Callable[[Array], Array]:
     return lambda x: np.array([slant(x, i, j, at_i, at_j, height) - measured])
 
 
@@ -224,9 +222,7 @@ class Twin:
             e = metric_range(i[k], j[k], at_i[k], at_j[k], height[k], measured[k])
             self._scalar([i[k], j[k]], e, sigma[k], kernel, width)
 
-    def add_rssi(
-        self, i, j, at_i, at_j, height, measured, at_1m, exponent, sigma, kernel=NONE, width=1.0
-    ) -> None:
+    def add_rssi(self, i, j, at_i, at_j, height, measured, at_1m, exponent, sigma, kernel=NONE, width=1.0) -> None:
         self.core.add_rssi(i, j, at_i, at_j, height, measured, at_1m, exponent, sigma, kernel, width)
         for k in range(len(i)):
             e = rssi(i[k], j[k], at_i[k], at_j[k], height[k], measured[k], at_1m[k], exponent[k])
@@ -308,9 +304,7 @@ def team(
     def kernel(*options: int) -> tuple[int, float]:
         return (int(rng.choice(options)), float(rng.uniform(0.5, 2.0))) if kernels else (NONE, 1.0)
 
-    odometry = [
-        (index[key], index[key[0], key[1] + 1]) for key in sorted(index) if (key[0], key[1] + 1) in index
-    ]
+    odometry = [(index[key], index[key[0], key[1] + 1]) for key in sorted(index) if (key[0], key[1] + 1) in index]
     i, j = np.array(odometry).T
     sigma = np.array([0.05, 0.03, 0.04]) * noise
     delta = se2.compose(se2.between(poses[i], poses[j]), rng.normal(size=(len(i), 3)) * sigma)
@@ -320,18 +314,14 @@ def team(
     at_i, at_j = rng.normal(size=(2, len(i), 3)) * 0.2
     seen = se2.between(se2.compose(poses[i], at_i), se2.compose(poses[j], at_j))
     delta = se2.compose(seen, 0.2 * noise * rng.normal(size=(len(i), 3)))
-    twin.add_relative_poses(
-        i, j, at_i, at_j, delta, random_information(rng, len(i)), *kernel(NONE, HUBER, CAUCHY)
-    )
+    twin.add_relative_poses(i, j, at_i, at_j, delta, random_information(rng, len(i)), *kernel(NONE, HUBER, CAUCHY))
 
     every = (NONE, HUBER, CAUCHY, HUBER_NEGATIVE, CAUCHY_NEGATIVE)
     i, j = pairs(8 * robots)
     at_i, at_j = rng.normal(size=(2, len(i), 2)) * 0.2
     height, sigma = rng.normal(size=len(i)), rng.uniform(0.1, 0.3, len(i))
     d = np.array([slant(poses, *row) for row in zip(i, j, at_i, at_j, height, strict=True)])
-    twin.add_ranges(
-        i, j, at_i, at_j, height, d + noise * sigma * rng.normal(size=len(i)), sigma, *kernel(*every)
-    )
+    twin.add_ranges(i, j, at_i, at_j, height, d + noise * sigma * rng.normal(size=len(i)), sigma, *kernel(*every))
 
     at_1m, exponent = rng.uniform(-50, -30, len(i)), rng.uniform(2, 4, len(i))
     measured = at_1m - 10 * exponent * np.log10(d) + noise * 2 * rng.normal(size=len(i))

@@ -160,10 +160,7 @@ def test_other_dtypes_strides_and_lists_are_converted() -> None:
     poses = np.random.default_rng(0).normal(size=(5, 3))
     plain = add("ranges").cost(poses)
     wide = np.zeros((4, 4))[::2, ::2]
-    assert (
-        add("ranges", i=[0, 1], j=np.array([1, 2], dtype=np.int32), at_i=wide, sigma=[1, 1]).cost(poses)
-        == plain
-    )
+    assert add("ranges", i=[0, 1], j=np.array([1, 2], dtype=np.int32), at_i=wide, sigma=[1, 1]).cost(poses) == plain
     assert add("ranges").cost(np.asfortranarray(poses)) == plain
     assert add("ranges").cost(poses.tolist()) == plain
 

@@ -129,12 +129,7 @@ def test_gradient_and_exact_hessian_are_derivatives_of_the_cost(
         second = np.array(
             [
                 [
-                    (
-                        cost(step * (u + v))
-                        - cost(step * (u - v))
-                        - cost(step * (v - u))
-                        + cost(-step * (u + v))
-                    )
+                    (cost(step * (u + v)) - cost(step * (u - v)) - cost(step * (v - u)) + cost(-step * (u + v)))
                     / (4 * step**2)
                     for v in unit
                 ]

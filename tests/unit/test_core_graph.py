@@ -43,9 +43,7 @@ def test_optimum_with_large_residuals_is_one_of_the_reference(gauge: str, seed: 
 @pytest.mark.parametrize("gauge", GAUGES)
 def test_hessian_and_step_match_the_reference(gauge: str, seed: int) -> None:
     twin = team(np.random.default_rng(seed), gauge=gauge, steps=4)
-    for mine, theirs in zip(
-        twin.core.hessian(twin.poses), twin.reference.normal_equations(twin.poses), strict=True
-    ):
+    for mine, theirs in zip(twin.core.hessian(twin.poses), twin.reference.normal_equations(twin.poses), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-9 * np.abs(theirs).max())
     hessian, gradient = twin.core.hessian(twin.poses)
     step = twin.core.gauss_newton_step(twin.poses)
@@ -127,9 +125,7 @@ def test_gauge_does_not_change_relative_poses(seed: int) -> None:
     assert free.reason == ["converged"]
     assert free.cost[0] == pytest.approx(pinned.cost[0], rel=1e-9)
     np.testing.assert_allclose(
-        se2.between(
-            se2.between(pinned.poses[0, 0], pinned.poses[0]), se2.between(free.poses[0, 0], free.poses[0])
-        ),
+        se2.between(se2.between(pinned.poses[0, 0], pinned.poses[0]), se2.between(free.poses[0, 0], free.poses[0])),
         0,
         atol=1e-7,
     )
@@ -237,9 +233,7 @@ def test_window_with_prior_steps_as_the_full_graph(gauge: str, seed: int) -> Non
     else:
         members, part, reference = kept[1:], slice(3, None), place[int(kept[0])]
         relative = se2.between(at[kept[0]], at[members])
-    window.add_prior(
-        reference, [place[int(k)] for k in members], relative, information[part, part], gradient[part]
-    )
+    window.add_prior(reference, [place[int(k)] for k in members], relative, information[part, part], gradient[part])
     prior_hessian, prior_slope = window.hessian(at[live])
 
     # Full Schur complement = prior + live factors, those that do not touch what is gone.

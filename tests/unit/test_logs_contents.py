@@ -157,9 +157,7 @@ def test_mrclam_holds_twists_for_a_second_and_turns_depth_into_range(tmp_path: P
     )
     assert log.skipped == {"landmark": 1, "unknown barcode": 1, "own barcode": 1}
     assert log.starts == {"r2": Start(0.1, (2.0, 2.0, 2.0))}
-    (tmp_path / "Robot2_Groundtruth.dat").write_text(
-        MRCLAM["Robot2_Groundtruth.dat"].replace("9 9 9", "7 7 7")
-    )
+    (tmp_path / "Robot2_Groundtruth.dat").write_text(MRCLAM["Robot2_Groundtruth.dat"].replace("9 9 9", "7 7 7"))
     assert same_for_the_estimator(log, logs.read(tmp_path))
 
 

@@ -44,9 +44,7 @@ def test_mrclam(mrclam: Log) -> None:
 
 def test_mrclam_ranges_fit_the_motion_capture(mrclam: Log) -> None:
     """Depth over cos(bearing) is long by about 2.5 %, 0.05 m less: the camera's known trait."""
-    errors = [
-        error for m in mrclam.measurements if isinstance(m, Range) if (error := _error(mrclam, m)) is not None
-    ]
+    errors = [error for m in mrclam.measurements if isinstance(m, Range) if (error := _error(mrclam, m)) is not None]
     assert len(errors) > 3900
     assert abs(np.median(errors)) < 0.03
 
@@ -78,12 +76,7 @@ def test_tiers(tiers: Log) -> None:
 
 
 def test_tiers_ranges_fit_the_truth(tiers: Log) -> None:
-    errors = [
-        error
-        for m in tiers.measurements
-        if isinstance(m, Range)
-        if (error := _residual(tiers, m)) is not None
-    ]
+    errors = [error for m in tiers.measurements if isinstance(m, Range) if (error := _residual(tiers, m)) is not None]
     assert len(errors) > 7000
     assert abs(np.median(errors)) < 0.02
     assert np.median(np.abs(errors)) < 0.05
@@ -125,9 +118,7 @@ def _corrupt_dat(text: str) -> str:
     rows = text.split("\n")
     begin = float(next(row for row in rows if row[:1] not in ("#", "")).split()[0])
     late = (row.startswith("#") or not row or float(row.split()[0]) < begin + 20 for row in rows)
-    return "\n".join(
-        row if keep else f"{row.split()[0]} 77 -77 1" for row, keep in zip(rows, late, strict=True)
-    )
+    return "\n".join(row if keep else f"{row.split()[0]} 77 -77 1" for row, keep in zip(rows, late, strict=True))
 
 
 def _corrupt_pyfg(text: str) -> str:

@@ -75,9 +75,7 @@ def small_logs(draw: st.DrawFn) -> Log:
     start = st.builds(Start, stamps, pose) if draw(st.booleans()) else st.builds(Start, st.just(0.0), pose)
     starts = draw(st.dictionaries(st.sampled_from(robots), start))
     radio = draw(st.fixed_dictionaries({}, optional={"sigma_db": positive, "rssi_at_1m_dbm": numbers}))
-    configuration = draw(
-        st.sampled_from([{}, {"radio": radio}, {"antennas": {robots[0]: [0.5, 1e-7, -1.0]}}])
-    )
+    configuration = draw(st.sampled_from([{}, {"radio": radio}, {"antennas": {robots[0]: [0.5, 1e-7, -1.0]}}]))
     return Log(Path("made"), tuple(robots), in_order(measurements), truth, starts, configuration, {})
 
 

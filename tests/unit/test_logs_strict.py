@@ -240,9 +240,7 @@ def test_not_utf8(tmp_path: Path, name: str) -> None:
     refused(tmp_path, f"{name}:{FOLDER[name].count(chr(10)) + 1}: not UTF-8")
 
 
-@pytest.mark.parametrize(
-    "name", ["rssi.csv", "ranges.csv", "bearings.csv", "odometry.csv", "groundtruth.csv"]
-)
+@pytest.mark.parametrize("name", ["rssi.csv", "ranges.csv", "bearings.csv", "odometry.csv", "groundtruth.csv"])
 def test_empty_file(tmp_path: Path, name: str) -> None:
     make(tmp_path, FOLDER | {name: ""})
     refused(tmp_path, f"{name}:1: the first line must be the header", "it is empty")

@@ -96,9 +96,7 @@ def test_nees_uses_the_whole_covariance() -> None:
     covariance, error = root @ root.T, np.array([0.3, -0.2, 0.1])
     r = record([tuple(error)], [T], covariance=covariance[None])
     assert metrics.nees(r) == pytest.approx([error @ np.linalg.inv(covariance) @ error])
-    assert metrics.position_nees(r) == pytest.approx(
-        [error[:2] @ np.linalg.inv(covariance[:2, :2]) @ error[:2]]
-    )
+    assert metrics.position_nees(r) == pytest.approx([error[:2] @ np.linalg.inv(covariance[:2, :2]) @ error[:2]])
 
 
 def test_bound_is_the_larger_half_axis_of_the_ellipse() -> None:
@@ -199,7 +197,5 @@ def test_summary_leaves_the_world_out() -> None:
 
 def tick(stamp: float, seen: Mapping[str, Mapping[str, PeerEstimate]]) -> Any:
     nothing = OptimizedGraph({}, (), np.zeros((0, 0)))
-    estimates = {
-        ego: Estimate(ego, stamp, peers, {"too late": 2}, lambda: nothing) for ego, peers in seen.items()
-    }
+    estimates = {ego: Estimate(ego, stamp, peers, {"too late": 2}, lambda: nothing) for ego, peers in seen.items()}
     return SimpleNamespace(stamp=stamp, estimates=estimates, cpu_s=dict.fromkeys(seen, 0.002))

@@ -13,9 +13,7 @@ from dgorl import se2
 Array = np.ndarray
 SMALL = [0.0, 1e-300, 1e-12, -1e-8, 1e-5, 1e-4, 9.99e-5, -1.001e-4, 1e-3, 1e-2]
 lengths = st.floats(-100, 100) | st.sampled_from(SMALL)
-angles = (
-    st.floats(-10, 10) | st.sampled_from(SMALL) | st.sampled_from([np.pi, -np.pi, np.pi - 1e-9, 3 * np.pi])
-)
+angles = st.floats(-10, 10) | st.sampled_from(SMALL) | st.sampled_from([np.pi, -np.pi, np.pi - 1e-9, 3 * np.pi])
 
 
 @st.composite
@@ -43,9 +41,7 @@ def test_wrap(angle: float) -> None:
     assert se2.wrap(wrapped) == wrapped
 
 
-@pytest.mark.parametrize(
-    ("angle", "wrapped"), [(np.pi, np.pi), (-np.pi, np.pi), (3 * np.pi, np.pi), (0.1, 0.1)]
-)
+@pytest.mark.parametrize(("angle", "wrapped"), [(np.pi, np.pi), (-np.pi, np.pi), (3 * np.pi, np.pi), (0.1, 0.1)])
 def test_wrap_at_the_seam(angle: float, wrapped: float) -> None:
     assert se2.wrap(angle) == wrapped
 
@@ -109,9 +105,7 @@ def test_adjoint_moves_perturbations_to_the_left(poses: list[Array]) -> None:
 @given(several(2))
 def test_adjoint_is_a_homomorphism(poses: list[Array]) -> None:
     a, b = poses
-    np.testing.assert_allclose(
-        se2.adjoint(a) @ se2.adjoint(b), se2.adjoint(se2.compose(a, b)), atol=1e-9, rtol=1e-9
-    )
+    np.testing.assert_allclose(se2.adjoint(a) @ se2.adjoint(b), se2.adjoint(se2.compose(a, b)), atol=1e-9, rtol=1e-9)
 
 
 @pytest.mark.parametrize("theta", [1e-9, 1e-6, 9e-5, 1.1e-4, 1e-3, 1e-2])

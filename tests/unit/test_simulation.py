@@ -48,9 +48,7 @@ def test_the_papers_experiment() -> None:
     assert {m.covariance for m in steps} == {(0.1 * 0.1, 0.0, 0.0, 0.1 * 0.1, 0.0, radians(0.5) ** 2)}
     assert sorted({m.start for m in steps} | {m.end for m in steps}) == [k * 0.5 for k in range(101)]
     assert {type(m) for m in log.measurements} == {Displacement, Rssi}
-    assert sorted({m.stamp for m in log.measurements if isinstance(m, Rssi)}) == [
-        k * 0.5 for k in range(1, 101)
-    ]
+    assert sorted({m.stamp for m in log.measurements if isinstance(m, Rssi)}) == [k * 0.5 for k in range(1, 101)]
     assert all(rows.shape == (101, 4) for rows in log.truth.values())
     assert log.configuration == {
         "radio": {"rssi_at_1m_dbm": -40.0, "path_loss_exponent": 3.0, "sigma_db": 2.0, "reciprocity": 0.0}

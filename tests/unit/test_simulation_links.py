@@ -90,9 +90,7 @@ def test_reciprocity_is_the_correlation_of_the_two_directions(reciprocity: float
 
 def test_signals_are_independent_in_time_by_default() -> None:
     errors = signal_errors(simulate(Scenario(steps=1000, comm_range=100.0)))
-    lagged = [
-        np.corrcoef(list(link.values())[:-1], list(link.values())[1:])[0, 1] for link in errors.values()
-    ]
+    lagged = [np.corrcoef(list(link.values())[:-1], list(link.values())[1:])[0, 1] for link in errors.values()]
     assert abs(np.mean(lagged)) < 0.03
 
 
@@ -118,9 +116,7 @@ def test_shadowing_of_standing_ends_does_not_change() -> None:
 
 def test_shadowing_in_a_whole_log_is_correlated() -> None:
     errors = signal_errors(simulate(Scenario(steps=2000, shadowing_correlation=10.0, comm_range=100.0)))
-    lagged = [
-        np.corrcoef(list(link.values())[:-1], list(link.values())[1:])[0, 1] for link in errors.values()
-    ]
+    lagged = [np.corrcoef(list(link.values())[:-1], list(link.values())[1:])[0, 1] for link in errors.values()]
     assert 0.85 < np.mean(lagged) < 0.97
 
 

@@ -33,9 +33,7 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
     blind = [ego for ego, figures in egos.items() if figures["all_ticks_position_rmse_m"] is None]
     if blind:
         whom = "these ticks" if len(blind) == len(egos) else ", ".join(blind)
-        words = (
-            f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
-        )
+        words = f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
         console.print(words, soft_wrap=True, markup=False)
     if not summary["measurements"]:
         console.print("The log has no measurements between robots: this is dead reckoning from the starts.")

@@ -120,8 +120,7 @@ def summarize(records: Records) -> dict[str, Any]:
             **figures(list(peers.values())),
             "rejected": dict(sorted(records.last[ego].rejected.items())) if ego in records.last else {},
             "peers": {
-                peer: figures([record]) | {"time_to_track_s": time_to_track(record)}
-                for peer, record in peers.items()
+                peer: figures([record]) | {"time_to_track_s": time_to_track(record)} for peer, record in peers.items()
             },
         }
     return {"ticks": len(records.stamps), "team": figures(records.between_robots()), "egos": egos}
@@ -138,9 +137,7 @@ def figures(records: Sequence[PairRecord]) -> dict[str, float | None]:
         "heading_rmse_deg": _degrees(_root_mean(turned)),
         "position_median_m": _median(np.sqrt(located)),
         "all_ticks_position_rmse_m": _root_mean(_pool(records, _squared_position, _any)),
-        "all_ticks_heading_rmse_deg": _degrees(
-            _root_mean(_pool(records, lambda r: heading_error(r) ** 2, _any))
-        ),
+        "all_ticks_heading_rmse_deg": _degrees(_root_mean(_pool(records, lambda r: heading_error(r) ** 2, _any))),
         "tracked_fraction": _mean(share),
         "wrong_fraction": _mean(located > WRONG**2),
         "coverage_95": _mean(_pool(records, position_nees, _located) <= CHI2_95_2DOF),

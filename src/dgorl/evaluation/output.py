@@ -27,9 +27,7 @@ HEADER = "t,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt,status,probabili
 _UPPER = np.triu_indices(3)
 
 
-def write(
-    records: Records, configuration: Configuration, about: Mapping[str, Any], directory: Path
-) -> dict[str, Any]:
+def write(records: Records, configuration: Configuration, about: Mapping[str, Any], directory: Path) -> dict[str, Any]:
     """Write summary.json and ``relative/`` into ``directory``, over an earlier run's; returns the summary.
 
     about: what the summary says of the run itself: log, robots, initial, measurements, solver, ...

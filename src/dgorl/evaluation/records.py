@@ -126,9 +126,7 @@ def truth_at(truth: Mapping[str, Array], robot: str, t: Array) -> Array:
     return np.asarray(pose)
 
 
-def _record(
-    ego: str, peer: str, t: Array, seen: Sequence[PeerEstimate], truth: Mapping[str, Array]
-) -> PairRecord:
+def _record(ego: str, peer: str, t: Array, seen: Sequence[PeerEstimate], truth: Mapping[str, Array]) -> PairRecord:
     none, no_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     return PairRecord(
         ego=ego,

@@ -127,9 +127,7 @@ def _starts(path: Path, team: Team, first: Mapping[str, float]) -> dict[str, Sta
     for robot, pose in (team.start or {}).items():
         stamp = team.start_stamp.get(robot, first.get(robot))
         if stamp is None:
-            raise LogError(
-                path / "team.yaml", None, f"`start.{robot}` needs a `start_stamp`: {robot} has no odometry"
-            )
+            raise LogError(path / "team.yaml", None, f"`start.{robot}` needs a `start_stamp`: {robot} has no odometry")
         starts[robot] = Start(stamp, pose)
     return starts
 

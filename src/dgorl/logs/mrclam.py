@@ -30,9 +30,7 @@ _GROUNDTRUTH: Columns = ("t", "x", "y", "theta")
 def read_mrclam(path: Path) -> Log:
     """A folder of the UTIAS multi-robot data set. Raises LogError."""
     numbers = sorted(
-        int(match[1])
-        for file in path.iterdir()
-        if (match := re.fullmatch(r"Robot(\d+)_Odometry\.dat", file.name))
+        int(match[1]) for file in path.iterdir() if (match := re.fullmatch(r"Robot(\d+)_Odometry\.dat", file.name))
     )
     if not numbers:
         raise LogError(path, None, "holds no RobotN_Odometry.dat; unpack the whole data set into one folder")

@@ -101,9 +101,7 @@ def _rows(path: Path) -> Iterator[Row]:
 def _letters(row: Row, index: int) -> str:
     match = re.fullmatch(r"([A-Za-z]+)\d+", row.fields[index])
     if match is None:
-        raise row.error(
-            f"`{row.columns[index]}` must be letters and a number like A12, got `{row.fields[index]}`"
-        )
+        raise row.error(f"`{row.columns[index]}` must be letters and a number like A12, got `{row.fields[index]}`")
     return match[1]
 
 
@@ -178,18 +176,14 @@ def _at_start(dtheta: float, upper: Sequence[float]) -> Covariance:
     )
 
 
-def _landmark_names(
-    path: Path, robots: Mapping[str, _Robot], landmarks: Mapping[str, object]
-) -> dict[str, str]:
+def _landmark_names(path: Path, robots: Mapping[str, _Robot], landmarks: Mapping[str, object]) -> dict[str, str]:
     """Landmark → robot's name: its letters, or all of its symbol where several share the letters."""
     letters = {symbol: symbol.rstrip("0123456789") for symbol in landmarks}
     count = Counter(letters.values())
     names = {symbol: short if count[short] == 1 else symbol for symbol, short in letters.items()}
     for symbol, name in names.items():
         if name in robots:
-            raise LogError(
-                path, None, f"landmark {symbol} and robot {name} share a letter; rename one of them"
-            )
+            raise LogError(path, None, f"landmark {symbol} and robot {name} share a letter; rename one of them")
     return names
 
 

@@ -130,9 +130,7 @@ class _Reader:
     def _stamps(self, robot: str, value: object) -> tuple[float, ...]:
         key = f"epochs.{robot}"
         if not isinstance(value, list):
-            raise self.error(
-                key, f"`{key}` must list the times the robot was carried, like [12.5], got {value!r}"
-            )
+            raise self.error(key, f"`{key}` must list the times the robot was carried, like [12.5], got {value!r}")
         stamps = tuple(self._number(key, stamp) for stamp in value)
         if list(stamps) != sorted(stamps):
             raise self.error(key, f"`{key}`: time runs backwards; sort the times")
@@ -153,9 +151,7 @@ class _Reader:
             raise self.error(key, "`start_stamp` needs `start`: the poses at that time")
         if not isinstance(self.data[key], dict):
             return dict.fromkeys(start, self._number(key, self.data[key]))
-        return {
-            name: self._number(f"{key}.{name}", value) for name, value in self._by_robot(key, robots).items()
-        }
+        return {name: self._number(f"{key}.{name}", value) for name, value in self._by_robot(key, robots).items()}
 
     def _configuration(self, robots: tuple[str, ...]) -> Mapping[str, Any]:
         configuration = {key: self.data[key] for key in SECTIONS if key in self.data}

@@ -36,14 +36,10 @@ def write_folder(log: Log, path: str | Path) -> None:
 def _team(log: Log, path: Path) -> Team:
     for name in log.robots:
         if not valid_name(name):
-            raise LogError(
-                path, None, f"a dgorl log cannot name a robot `{name}`; use letters, digits, `_`, `-`, dots"
-            )
+            raise LogError(path, None, f"a dgorl log cannot name a robot `{name}`; use letters, digits, `_`, `-`, dots")
     for key in log.configuration:
         if key not in SECTIONS:
-            raise LogError(
-                path, None, f"a dgorl log cannot hold the setting `{key}`; leave it to a YAML file"
-            )
+            raise LogError(path, None, f"a dgorl log cannot hold the setting `{key}`; leave it to a YAML file")
     start = {robot: start.pose for robot, start in log.starts.items()}
     stamps = {robot: start.stamp for robot, start in log.starts.items()}
     team = Team(log.robots, _epochs(log), start, stamps, log.configuration)
@@ -51,9 +47,7 @@ def _team(log: Log, path: Path) -> Team:
         if isinstance(m, Odometry | Displacement) and (
             team.epoch(m.robot, m.start) != m.epoch or team.carried_within(m.robot, m.start, m.end)
         ):
-            raise LogError(
-                path, None, f"epochs of {m.robot} must follow one another in time (see {m.start!r})"
-            )
+            raise LogError(path, None, f"epochs of {m.robot} must follow one another in time (see {m.start!r})")
     return team
 
 
@@ -88,9 +82,7 @@ def _tables(log: Log, path: Path) -> dict[str, str]:
         else _displacements(displacements),
         "rssi.csv": _table(folder.RSSI, ((m.stamp, m.transmitter, m.receiver, m.dbm) for m in rssi)),
         "ranges.csv": _ranges(ranges),
-        "bearings.csv": _table(
-            folder.BEARING, ((m.stamp, m.observer, m.target, m.bearing, m.sigma) for m in bearings)
-        ),
+        "bearings.csv": _table(folder.BEARING, ((m.stamp, m.observer, m.target, m.bearing, m.sigma) for m in bearings)),
         "groundtruth.csv": _table(
             truth.COLUMNS, ((row[0], robot, *row[1:]) for robot, rows in log.truth.items() for row in rows)
         ),

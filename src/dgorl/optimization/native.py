@@ -36,7 +36,11 @@ def solve(problem: Problem, select: Indices, tolerance: float) -> Solution:
     """
     found = graph(problem).solve(problem.initial, select, step_tolerance=tolerance)
     return Solution(
-        found.poses[0], float(found.cost[0]), int(found.iterations[0]), found.reason[0], np.asarray(found.covariance)
+        found.poses[0],
+        float(found.cost[0]),
+        int(found.iterations[0]),
+        found.reason[0],
+        np.asarray(found.covariance),
     )
 
 

@@ -26,9 +26,7 @@ SPACING = 0.04
 """between the edges of one pair [inches]"""
 
 
-def draw_graph(
-    figure: Figure, axes: Axes, estimate: Estimate, view: TeamView, colors: dict[str, str]
-) -> None:
+def draw_graph(figure: Figure, axes: Axes, estimate: Estimate, view: TeamView, colors: dict[str, str]) -> None:
     """Robots with heading and 95 % ellipse; edges styled by kind, coloured by residual."""
     decorate(axes, view, f"Optimised graph after {estimate.stamp - view.start:.1f} s")
     T_view_ego = view.ego_pose[-1]
@@ -77,18 +75,14 @@ def _draw_edges(figure: Figure, axes: Axes, edges: list[Edge], poses: dict[str, 
         dx, dy = SPACING * side * (across if edge.a < edge.b else -across)
         aside = axes.transData + ScaledTranslation(dx, dy, figure.dpi_scale_trans)
         color = ramp(abs(edge.residual) / WORST)
-        axes.plot(
-            *zip(a, b, strict=True), ls=KINDS[edge.kind], lw=1.6, color=color, zorder=2, transform=aside
-        )
+        axes.plot(*zip(a, b, strict=True), ls=KINDS[edge.kind], lw=1.6, color=color, zorder=2, transform=aside)
     if edges:
         bar = figure.colorbar(scale, ax=axes, extend="max", shrink=0.75, pad=0.02)
         bar.set_label("residual of the edge [σ]")
         bar.outline.set_linewidth(0.0)
     handles = [Line2D([], [], color=GREY, lw=1.6, ls=KINDS[kind], label=kind) for kind in kinds]
     if handles:
-        axes.legend(
-            handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4, handlelength=3.0
-        )
+        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4, handlelength=3.0)
     else:
         axes.annotate("no measurement between robots in the last 5 s", (0.5, -0.16), xycoords="axes fraction",
                       ha="center", color=GREY)  # fmt: skip

@@ -48,9 +48,7 @@ def draw_paths(axes: Axes, view: TeamView, colors: dict[str, str]) -> None:
         if not len(known):
             continue
         axes.plot(*known[0, :2], "o", ms=5, mfc="white", mec=colors[robot], mew=1.3, zorder=4)
-        axes.plot(
-            *known[-1, :2], marker=arrowhead(known[-1, 2]), ms=11, color=colors[robot], mec="white", zorder=5
-        )
+        axes.plot(*known[-1, :2], marker=arrowhead(known[-1, 2]), ms=11, color=colors[robot], mec="white", zorder=5)
         ends[robot] = known[-1, :2]
     if len(ends) <= LABELLED:
         drawn = [*view.estimates.values(), *view.truth.values()]

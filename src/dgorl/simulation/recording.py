@@ -43,9 +43,7 @@ def _odometry(scenario: Scenario, team: Trajectories, stamps: Array) -> Iterator
     for k, name in enumerate(scenario.names):
         for step, (v, omega) in enumerate(team.twists[:, k].tolist()):
             start, end = float(stamps[step]), float(stamps[step + 1])
-            yield Displacement(
-                name, start, end, v * scenario.period, 0.0, omega * scenario.period, covariance
-            )
+            yield Displacement(name, start, end, v * scenario.period, 0.0, omega * scenario.period, covariance)
 
 
 def _known_start(scenario: Scenario, name: str, T_w_r: Array) -> Start:

@@ -130,9 +130,7 @@ class Scenario:
             robot, stamp, metres = match.groups() if match else ("", "", "")
             teleport = Teleport(robot, float(stamp), float(metres))
         except ValueError:
-            raise ConfigurationError(
-                f"teleport must be NAME@T:METRES, like r2@20:5, got {self.teleport!r}"
-            ) from None
+            raise ConfigurationError(f"teleport must be NAME@T:METRES, like r2@20:5, got {self.teleport!r}") from None
         if robot not in self.names:
             raise ConfigurationError(f"teleport: no robot is called `{robot}`{nearest(robot, self.names)}")
         last = self.steps * self.period
@@ -152,6 +150,4 @@ def _require(holds: bool, option: str, wanted: str, got: object) -> None:
 
 def _one_of(option: str, value: str, known: tuple[str, ...]) -> None:
     if value not in known:
-        raise ConfigurationError(
-            f"{option}: unknown `{value}`{nearest(value, known)}; known are {', '.join(known)}"
-        )
+        raise ConfigurationError(f"{option}: unknown `{value}`{nearest(value, known)}; known are {', '.join(known)}")

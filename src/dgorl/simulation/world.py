@@ -79,9 +79,7 @@ def _start(scenario: Scenario) -> Array:
     return poses
 
 
-def _command(
-    scenario: Scenario, poses: Array, pending: list[Array], part: float, walk: np.random.Generator
-) -> Array:
+def _command(scenario: Scenario, poses: Array, pending: list[Array], part: float, walk: np.random.Generator) -> Array:
     """Twists (N, 2) commanded now, to be followed after those pending."""
     twists = np.zeros((scenario.robots, 2))
     if scenario.motion == "static":
