@@ -9,7 +9,9 @@ from numpy.typing import DTypeLike, NDArray
 
 
 class Column:
-    """A NumPy array with amortised appends; ``view`` is the live part, (N, *shape)."""
+    """A NumPy array with amortised appends; ``view`` is the live part, (N, *shape).
+
+    Rows of a view never change, except by writing to it."""
 
     def __init__(self, shape: tuple[int, ...] = (), dtype: DTypeLike = float) -> None:
         self._data: NDArray[Any] = np.zeros((16, *shape), dtype)
@@ -29,7 +31,8 @@ class Column:
         self._size = size
 
     def rearrange(self, first: int, rows: NDArray[np.int64]) -> None:
-        """Replace everything from row ``first`` on by the given rows, in the given order."""
+        """Replace everything from row ``first`` on by the given rows, in the given order; views keep the old rows."""
+        self._data = self._data.copy()
         self._data[first : first + len(rows)] = self.view[rows]
         self._size = first + len(rows)
 

@@ -28,10 +28,12 @@ def optimized_graph(
     names = sorted({key.robot for key in state.window.layout})
     adjacency = np.zeros((len(names), len(names)))
     newest: dict[tuple[str, str, str], Edge] = {}
-    for scalars, (kind, pairs, stamps) in zip(state.window.problem.scalars, state.window.labels, strict=True):
+    robots = [key.robot for key, (_, _, count) in state.window.layout.items() for _ in range(count)]
+    for scalars, stamps in zip(state.window.problem.scalars, state.window.stamps, strict=True):
         residual = residuals(state.window.problem, scalars, state.solution.poses)
         weight = weights(residual, scalars.loss)
-        for (a, b), stamp, e, w in zip(pairs, stamps, residual, weight, strict=True):
+        for i, j, stamp, e, w in zip(scalars.i, scalars.j, stamps, residual, weight, strict=True):
+            a, b, kind = robots[i], robots[j], scalars.kind
             row, column = names.index(a), names.index(b)
             adjacency[row, column] += 1
             adjacency[column, row] += 1

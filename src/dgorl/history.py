@@ -114,7 +114,7 @@ class History:
         begin = {a.key.robot: a.key.begin, b.key.robot: b.key.begin}
         reached, edges = {a.key.robot}, set()
         for table in self.tables.values():
-            rows, names = table.between(-inf, inf)
+            rows, names = table.between(-inf, inf), table.names()
             edges |= {
                 pair for pair, stamp in zip(names, rows.stamp, strict=True)
                 if stamp >= max(begin.get(pair[0], -inf), begin.get(pair[1], -inf))

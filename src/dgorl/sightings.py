@@ -123,11 +123,15 @@ class Table:
         """The tracks of ``robot`` were rebuilt: place its rows anew."""
         self._unplaced.update(row for row, names in enumerate(self._names) if robot in names)
 
-    def between(self, low: float, high: float) -> tuple[Rows, list[tuple[str, str]]]:
-        """Views of the rows with low ≤ stamp ≤ high, and the names (a, b) of each."""
+    def names(self) -> list[tuple[str, str]]:
+        """Names (a, b) of all rows."""
+        return self._names
+
+    def between(self, low: float, high: float) -> Rows:
+        """Views of the rows with low ≤ stamp ≤ high."""
         stamps = self._columns[0].view
         first, last = int(np.searchsorted(stamps, low, "left")), int(np.searchsorted(stamps, high, "right"))
-        return Rows(*(column.view[first:last] for column in self._columns)), self._names[first:last]
+        return Rows(*[column.view[first:last] for column in self._columns])
 
     def forget(self, before: float) -> None:
         """Drop rows stamped before ``before`` [s]."""

@@ -77,8 +77,8 @@ class Window:
     world: int | None
     base: int
     """keyframe index of slot 0"""
-    labels: tuple[tuple[str, tuple[tuple[str, str], ...], Array], ...] = field(default=(), repr=False)
-    """per kind of scalar: names (a, b) and stamps of its rows"""
+    stamps: tuple[Array, ...] = field(default=(), repr=False)
+    """of the rows of each of the problem's scalars [s]"""
 
     def index(self, key: TrackKey, keyframe: int) -> int:
         """Index of a track's pose at a keyframe."""
@@ -122,17 +122,15 @@ def assemble(history: History, component: Component, low: float, limit: float, p
         offset += len(stretch.poses)
     world = offset if component.has_world else None
     base = min(first for _, first, _ in layout.values())
-    slots = np.concatenate([np.arange(first - base, first - base + count) for _, first, count in layout.values()])
-    initial = np.concatenate([component.stretches[key].poses for key in keys])
-    fixed = np.zeros(offset, dtype=bool)
-    if world is not None:
-        slots, fixed = np.append(slots, -1), np.append(fixed, True)
-        initial = np.concatenate([initial, component.stretches[WORLD_KEY].poses])
-    else:
-        fixed[_pinned(layout, pin)] = True
+    size = offset + (world is not None)
+    slots, fixed, initial = np.full(size, -1), np.zeros(size, dtype=bool), np.zeros((size, 3))
+    for key, (start, first, count) in layout.items():
+        slots[start : start + count] = np.arange(first - base, first - base + count)
+        initial[start : start + count] = component.stretches[key].poses
+    fixed[_pinned(layout, pin) if world is None else world] = True
     window = Window(_EMPTY, layout, world, base)
     tracks = {track.key: track for track in history.tracks}
-    scalars, labels = _scalars(history, window, tracks, low, limit)
+    scalars, stamps = _scalars(history, window, tracks, low, limit)
     radio = history.configuration.radio
     problem = Problem(
         slots=slots,
@@ -144,7 +142,7 @@ def assemble(history: History, component: Component, low: float, limit: float, p
         priors=tuple(_dense(prior, window) for prior in component.priors),
         radio=(radio.rssi_at_1m_dbm, radio.path_loss_exponent),
     )
-    return Window(problem, layout, world, base, labels)
+    return Window(problem, layout, world, base, stamps)
 
 
 _EMPTY = Problem(
@@ -279,7 +277,7 @@ def _dense(prior: Prior, window: Window) -> DensePrior:
 
 def _scalars(
     history: History, window: Window, tracks: Mapping[TrackKey, Track], low: float, limit: float
-) -> tuple[tuple[Scalars, ...], tuple[tuple[str, tuple[tuple[str, str], ...], Array], ...]]:
+) -> tuple[tuple[Scalars, ...], tuple[Array, ...]]:
     """Readings in the window between members of the component, where the odometry of both is known."""
     size = len(history.numbers) + 1  # the last entry answers for rows without a track
     offset, first, until = np.full(size, -1), np.zeros(size, np.int64), np.full(size, -np.inf)
@@ -288,7 +286,7 @@ def _scalars(
         number = tracks[key].core.number
         offset[number], first[number], until[number] = start, keyframe, tracks[key].core.known(limit)
         antenna[number] = history.antenna(key.robot)
-    found, labels = [], []
+    found, stamps = [], []
     configuration = history.configuration
     losses: dict[str, Radio | Ranging | Bearings] = {
         "rssi": configuration.radio,
@@ -298,14 +296,13 @@ def _scalars(
     for kind, table in history.tables.items():
         if not len(table):
             continue
-        rows, names = table.between(low, limit)
+        rows = table.between(low, limit)
         a, b = rows.track_a, rows.track_b
         i, j = offset[a] + rows.keyframe_a - first[a], offset[b] + rows.keyframe_b - first[b]
         use = rows.stamp <= np.minimum(until[a], until[b])
         if not use.any():
             continue
         if not use.all():
-            names = [pair for pair, used in zip(names, use, strict=True) if used]
             rows, a, b, i, j = Rows(*(column[use] for column in rows)), a[use], b[use], i[use], j[use]
         at_a, at_b, height = rows.offset_a, rows.offset_b, np.zeros(len(a))
         if kind != "bearing" and antenna.any():
@@ -315,5 +312,5 @@ def _scalars(
         sensor = losses[kind]
         loss = Loss(sensor.kernel, sensor.width)
         found.append(Scalars(kind, i, j, at_a, at_b, height, rows.value, rows.sigma, loss))
-        labels.append((kind, tuple(names), rows.stamp))
-    return tuple(found), tuple(labels)
+        stamps.append(rows.stamp)
+    return tuple(found), tuple(stamps)
