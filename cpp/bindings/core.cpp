@@ -6,7 +6,7 @@
 #include "dgorl/covariance.hpp"
 #include "dgorl/inspect.hpp"
 #include "dgorl/marginalize.hpp"
-#include "dgorl/odometry.hpp"
+#include "dgorl/motion.hpp"
 #include "dgorl/optimize.hpp"
 
 using namespace nb::literals;
@@ -123,18 +123,6 @@ nb::list residuals(const Graph& graph, nb::handle poses) {
   return out;
 }
 
-nb::tuple preintegrate_groups(nb::handle deltas, nb::handle covariances, nb::handle counts) {
-  const auto out = preintegrate(RowArgument<3>("deltas", deltas), RowArgument<6>("covariances", covariances),
-                                IndexArgument("counts", counts));
-  std::vector<double> sums, spreads;
-  for (const Preintegrated& p : out) {
-    sums.insert(sums.end(), p.delta.data(), p.delta.data() + 3);
-    spreads.insert(spreads.end(), p.covariance.data(), p.covariance.data() + 9);  // symmetric
-  }
-  return nb::make_tuple(to_numpy(std::move(sums), {out.size(), 3}),
-                        to_numpy(std::move(spreads), {out.size(), 3, 3}));
-}
-
 nb::object chain_poses(nb::handle start, nb::handle deltas) {
   const Argument<double> first("start", start, {3});
   const auto out = chain(Pose(first.data()), RowArgument<3>("deltas", deltas));
@@ -182,7 +170,6 @@ void bind(nb::module_& m) {
       .def("gauss_newton_step", &gauss_newton_step, "poses"_a)
       .def("hessian", &hessian, "poses"_a, "exact"_a = false);
   bind_tracks(m);
-  m.def("preintegrate", &preintegrate_groups, "deltas"_a, "covariances"_a, "counts"_a);
   m.def("chain", &chain_poses, "start"_a, "deltas"_a);
 }
 

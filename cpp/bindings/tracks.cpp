@@ -21,6 +21,8 @@ constexpr int kRowColumns = 13;  // start, end, epoch, twist?, 3 values, 6 state
 MotionModel motion_model(nb::handle values) {
   const Argument<double> v("motion", values, {13});
   const double* p = v.data();
+  for (int k = 0; k < 13; ++k)
+    if (!std::isfinite(p[k])) throw std::invalid_argument("motion: must be finite");
   return {p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12]};
 }
 
@@ -50,6 +52,7 @@ nb::object locate(const std::vector<Trail*>& trails, nb::handle robots, nb::hand
     const std::int64_t r = robot.data()[k];
     if (r < 0 || r >= static_cast<std::int64_t>(trails.size()))
       throw std::invalid_argument("robots: index out of range");
+    if (!std::isfinite(stamp.data()[k])) throw std::invalid_argument("stamps: must be finite");
     if (trails[r] == nullptr) continue;
     for (const TrackPtr& track : trails[r]->tracks()) {
       const double t = stamp.data()[k];
@@ -74,7 +77,7 @@ nb::object odometry(const std::vector<TrackPtr>& tracks, const std::vector<std::
     throw std::invalid_argument("first, last: must have one entry per track");
   std::vector<double> delta, information;
   for (std::size_t k = 0; k < tracks.size(); ++k) {
-    if (first[k] < tracks[k]->first() || last[k] > tracks[k]->last())
+    if (first[k] < tracks[k]->first() || first[k] > last[k] || last[k] > tracks[k]->last())
       throw std::invalid_argument("first, last: must be keyframes of the track");
     for (std::int64_t at = first[k]; at < last[k]; ++at) {
       const KeyframeInterval& interval = tracks[k]->interval(at);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 namespace dgorl {
 namespace {
@@ -112,6 +113,18 @@ void Travelled::append(const Pose& d, const Matrix3& q) {
   const Matrix3 moved = back * covariance * back.transpose() + q;
   covariance = 0.5 * (moved + moved.transpose());
   delta = delta * d;
+}
+
+std::vector<Vector3> chain(const Pose& start, const Rows<3>& deltas) {
+  if (!start.vec().allFinite()) throw std::invalid_argument("start: must be finite");
+  if (!deltas.allFinite()) throw std::invalid_argument("deltas: must be finite");
+  std::vector<Vector3> out{start.vec()};
+  Pose pose = start;
+  for (Eigen::Index k = 0; k < deltas.rows(); ++k) {
+    pose = pose * Pose(deltas.data() + 3 * k);
+    out.push_back(pose.vec());
+  }
+  return out;
 }
 
 }  // namespace dgorl

@@ -1,6 +1,10 @@
 // Odometry as motion increments with noise: the paper's motion model f, for real wheels. METHOD section 1.
 #pragma once
 
+#include <cstdint>
+#include <vector>
+
+#include "dgorl/arrays.hpp"
 #include "dgorl/se2.hpp"
 
 namespace dgorl {
@@ -61,5 +65,8 @@ struct Travelled {
 
   void append(const Pose& d, const Matrix3& q);
 };
+
+// start, start d1, start d1 d2, ...
+std::vector<Vector3> chain(const Pose& start, const Rows<3>& deltas);
 
 }  // namespace dgorl

@@ -199,14 +199,6 @@ class Graph:
         the cost along x += R ξ_xy, θ += ξ_θ.
         """
 
-def preintegrate(deltas: ArrayLike, covariances: ArrayLike, counts: ArrayLike) -> tuple[_Array, _Array]:
-    """Compose consecutive odometry sub-steps, Σ ← Ad(δ⁻¹) Σ Ad(δ⁻¹)ᵀ + Q. METHOD §1, keyframes.
-
-    deltas: (S, 3). covariances: (S, 6) as xx, xy, xθ, yy, yθ, θθ in the frame at the end of each sub-step.
-    counts: (K,) sizes of the groups, they sum to S; 0 gives the identity and no covariance.
-    Returns deltas (K, 3) and covariances (K, 3, 3) in the frame at the end.
-    """
-
 def chain(start: ArrayLike, deltas: ArrayLike) -> _Array:
     """start, start·δ₁, start·δ₁·δ₂ …: (3,) and (K, 3) to (K+1, 3)."""
 

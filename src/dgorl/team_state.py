@@ -15,7 +15,7 @@ from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, Window, assemble
 
-TOLERANCE = 1e-3
+TOLERANCE = 3e-3
 """Largest last step of a tick's optimisation [m, rad]. Convergence is quadratic: the error left is far smaller, and no
 later estimate starts from it."""
 

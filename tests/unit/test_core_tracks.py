@@ -1,0 +1,232 @@
+"""Tracks: odometry preintegrated between keyframes, located, bridged, carried on; the team seen from one robot."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dgorl import Displacement, Odometry, _core, se2
+from dgorl.configuration import Motion
+from dgorl.tracks import Trail, motion_values, odometry_row
+from tests.unit.reference import random_information
+
+MOTION = Motion(maximum_speed=2.0, maximum_turn_rate=1.0)
+UPPER = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
+
+
+def trail_of(odometry: Sequence[Odometry | Displacement], motion: Motion = MOTION) -> Any:
+    trail = _core.Trail(motion_values(motion), 30.0)
+    trail.extend(np.array(sorted(odometry_row(m) for m in odometry)))
+    return trail
+
+
+def random_steps(count: int, seed: int, span: float = 0.5) -> tuple[list[Displacement], np.ndarray, np.ndarray]:
+    """Displacements that fill ``span`` seconds, their motions and the covariances of their right perturbations."""
+    rng = np.random.default_rng(seed)
+    deltas, noises = rng.uniform(-1, 1, (count, 3)), random_information(rng, count) * 1e-4
+    bounds = np.linspace(0, span, count + 1)
+    rows = []
+    for k, (delta, noise) in enumerate(zip(deltas, noises, strict=True)):
+        turn = np.eye(3)
+        turn[:2, :2] = se2.rotation(delta[2])
+        stated = (turn @ noise @ turn.T)[UPPER]
+        rows.append(Displacement("r1", bounds[k], bounds[k + 1], *delta, covariance=tuple(stated)))
+    return rows, deltas, noises
+
+
+def test_preintegration_composes_motion_and_noise() -> None:
+    """Σ ← Ad(δ⁻¹) Σ Ad(δ⁻¹)ᵀ + Q, METHOD §1."""
+    rows, deltas, noises = random_steps(5, seed=0)
+    expected, covariance = np.zeros(3), np.zeros((3, 3))
+    for delta, noise in zip(deltas, noises, strict=True):
+        expected = se2.compose(expected, delta)
+        ad = se2.adjoint(se2.inverse(delta))
+        covariance = ad @ covariance @ ad.T + noise
+    track = trail_of(rows).tracks[0]
+    delta, information = _core.odometry([track], [0], [1])
+    np.testing.assert_allclose(se2.between(expected, delta[0]), 0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(information[0]), covariance, rtol=1e-8)
+    np.testing.assert_array_equal(information[0], information[0].T)
+
+
+def test_preintegrated_covariance_is_that_of_sampled_motion() -> None:
+    rows, deltas, noises = random_steps(4, seed=3)
+    delta, information = _core.odometry(trail_of(rows).tracks, [0], [1])
+    rng, x = np.random.default_rng(1), np.zeros((200_000, 3))
+    for step, noise in zip(deltas, noises, strict=True):
+        x = se2.compose(se2.compose(x, step), se2.exp(rng.multivariate_normal(np.zeros(3), noise, len(x))))
+    sampled = np.cov(se2.log(se2.between(delta[0], x)).T)
+    covariance = np.linalg.inv(information[0])
+    np.testing.assert_allclose(sampled, covariance, atol=0.02 * np.abs(covariance).max())
+
+
+@given(st.lists(st.floats(0.011, 1.7), min_size=1, max_size=12), st.floats(-0.4, 0.4))
+def test_keyframes_cut_steps_of_any_length(lengths: list[float], omega: float) -> None:
+    """However long its rows, odometry of one twist gives the same keyframes."""
+    bounds = np.concatenate([[0.0], np.cumsum(lengths)])
+    rows = [Odometry("r1", a, b, 0.7, omega) for a, b in itertools.pairwise(bounds)]
+    track = trail_of(rows).tracks[0]
+    assert (track.first, track.last) == (0, int(np.floor(2 * track.end)))
+    delta, information = _core.odometry([track], [0], [track.last])
+    np.testing.assert_allclose(delta, np.tile(se2.exp([0.35, 0.0, omega / 2]), (track.last, 1)), atol=1e-9)
+    if track.last:
+        whole = trail_of([Odometry("r1", k / 2, (k + 1) / 2, 0.7, omega) for k in range(track.last)])
+        _, expected = _core.odometry(whole.tracks, [0], [track.last])
+        found, expected = (np.linalg.inv(m).diagonal(axis1=1, axis2=2) for m in (information, expected))
+        np.testing.assert_allclose(found, expected, rtol=0.15)
+
+
+@given(st.floats(0.0, 4.0))
+def test_stamps_are_located_on_the_way(stamp: float) -> None:
+    track = trail_of([Odometry("r1", k, k + 1, 0.5, 0.3) for k in range(4)]).tracks[0]
+    keyframe, offset = track.locate(stamp)
+    assert keyframe == min(int(2 * stamp), 8)
+    travelled = se2.compose(se2.exp(np.array([0.25, 0, 0.15]) * keyframe), offset)
+    np.testing.assert_allclose(travelled, se2.exp(np.array([0.5, 0, 0.3]) * stamp), atol=1e-9)
+    number, keyframes, offsets = _core.locate([None, trail_of([Odometry("r1", 0, 4, 0.5, 0.3)])], [1, 0], [stamp] * 2)
+    assert keyframes[0] == keyframe
+    np.testing.assert_allclose(offsets[0], offset, atol=1e-9)
+    assert number.tolist() == [-1, -1]
+
+
+def test_wheel_scale_and_lag_move_and_shift() -> None:
+    motion = Motion(linear_scale=0.9, angular_scale=1.1, lag=0.2)
+    track = trail_of([Odometry("r1", 0.0, 2.0, 1.0, 0.5)], motion).tracks[0]
+    assert (track.begin, track.end) == (0.2, 2.2)
+    keyframe, offset = track.locate(1.2)
+    travelled = se2.compose(_core.chain(np.zeros(3), _core.odometry([track], [0], [keyframe])[0])[-1], offset)
+    np.testing.assert_allclose(travelled, se2.exp([0.9, 0.0, 0.55]), atol=1e-9)
+
+
+def test_noise_grows_with_time_turning_and_distance() -> None:
+    motion = Motion(heading_per_second=0.1, heading_per_radian=0.2, heading_per_metre=0.3, forward_per_metre=0.4,
+                    lateral_per_metre=0.5, position_per_second=0.6)  # fmt: skip
+    step = [Odometry("r1", 0.0, 0.5, 0.8, 0.0)]
+    _, information = _core.odometry(trail_of(step, motion).tracks, [0], [1])
+    expected = [0.36 * 0.5 + 0.16 * 0.4, 0.36 * 0.5 + 0.25 * 0.4, 0.01 * 0.5 + 0.09 * 0.4]
+    np.testing.assert_allclose(np.linalg.inv(information[0]), np.diag(expected), rtol=1e-9)
+    turn = [Odometry("r1", 0.0, 0.5, 0.0, 1.0)]
+    _, information = _core.odometry(trail_of(turn, motion).tracks, [0], [1])
+    np.testing.assert_allclose(1 / information[0, 2, 2], 0.01 * 0.5 + 0.04 * 0.5, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "moves"), [(0.5, True), (1.0, True), (4.0, False)])
+def test_short_gaps_go_on_and_long_ones_know_the_limits(gap: float, moves: bool) -> None:
+    rows = [Odometry("r1", 0, 1, 0.5, 0.0), Odometry("r1", 1 + gap, 2 + gap, 0.5, 0.0)]
+    track = trail_of(rows).tracks[0]
+    first, last = 2, int(2 * (1 + gap))
+    delta, information = _core.odometry([track], [first], [last])
+    assert _core.chain(np.zeros(3), delta)[-1][0] == pytest.approx(0.5 * gap if moves else 0.0)
+    spread = np.linalg.inv(information).sum(axis=0)
+    if not moves:
+        np.testing.assert_allclose(spread[0, 0], (2.0 * gap) ** 2, rtol=1e-6)
+        np.testing.assert_allclose(spread[2, 2], min(gap, np.pi) ** 2, rtol=1e-6)
+
+
+def test_tracks_end_with_silence_and_epochs() -> None:
+    rows = [
+        Odometry("r1", 0, 1, 0.5, 0.0),
+        Odometry("r1", 40, 41, 0.5, 0.0),
+        Odometry("r1", 41, 42, 0.5, 0.0, epoch=1),
+    ]
+    tracks = trail_of(rows).tracks
+    assert [(t.begin, t.end, t.epoch) for t in tracks] == [(0, 1, 0), (40, 41, 0), (41, 42, 1)]
+
+
+def test_what_is_known_before_a_stamp() -> None:
+    """Odometry counts as known from its start; the row after a gap tells of the gap."""
+    track = trail_of([Odometry("r1", 0, 1, 0.5, 0.0), Odometry("r1", 3, 4, 0.5, 0.0)]).tracks[0]
+    assert [track.known(t) for t in (0.0, 0.5, 2.0, 3.0, 3.5, 9.0)] == [-np.inf, 0.5, 1.0, 1.0, 3.5, 4.0]
+    assert [track.newest(t) for t in (0.5, 2.0, 3.5)] == [1, 2, 7]
+
+
+def test_forgetting_and_late_rows_keep_the_rest() -> None:
+    """Dropping the past, then rebuilding for a late row, gives the keyframes that were there."""
+    rows = [Odometry("r1", k / 4, (k + 1) / 4, 0.5, 0.1 * k) for k in range(40)]
+    whole, cut = Trail("r1", MOTION, 30.0), Trail("r1", MOTION, 30.0)
+    whole.add(rows)
+    assert cut.add(rows[:30])
+    cut.forget(8)
+    assert cut.add(rows[31:])
+    assert not cut.add([rows[30]])
+    (a,), (b,) = whole.tracks, cut.tracks
+    assert a.key == b.key
+    assert b.core.first == 8
+    for expected, found in zip(_core.odometry([a.core], [8], [20]), _core.odometry([b.core], [8], [20]), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_a_late_robot_is_predicted_with_growing_noise() -> None:
+    track = trail_of([Odometry("r1", 0, 2, 0.5, 0.2)]).tracks[0]
+    spreads = []
+    for age in (0.0, 0.5, 1.0, 1.001, 5.0):
+        poses, covariance = _core.carry([track], 2 + age, motion_values(MOTION), np.zeros((1, 3)), np.zeros((3, 3)))
+        np.testing.assert_allclose(poses[0], se2.exp(np.array([0.5, 0.0, 0.2]) * age), atol=1e-9)
+        spreads.append(np.sqrt(np.trace(covariance)))
+    assert (np.diff(spreads) > 0).all()
+    assert spreads[3] - spreads[2] < 0.01
+
+
+def test_relative_poses_and_their_covariance() -> None:
+    """Against sampling: T_ego_j of jointly perturbed poses."""
+    rng = np.random.default_rng(4)
+    poses = rng.uniform(-3, 3, (3, 3))
+    root = rng.normal(size=(9, 9)) * 0.01
+    found, covariances = _core.relative(poses, root @ root.T, 1)
+    np.testing.assert_allclose(found, se2.between(poses[1], poses), atol=1e-12)
+    samples = (root @ rng.normal(size=(9, 100_000))).T.reshape(-1, 3, 3)
+    moved = se2.compose(poses, se2.exp(samples))
+    seen = se2.between(moved[:, 1:2], moved)
+    for j in (0, 2):
+        error = seen[:, j] - found[j]
+        error[:, 2] = se2.wrap(error[:, 2])
+        np.testing.assert_allclose(np.cov(error.T), covariances[j], atol=0.03 * np.abs(covariances[j]).max())
+    np.testing.assert_allclose(covariances[1], 0, atol=1e-15)
+
+
+def test_chain_composes() -> None:
+    deltas = np.random.default_rng(5).uniform(-2, 2, (6, 3))
+    start = np.array([1.0, -2.0, 3.0])
+    poses = _core.chain(start, deltas)
+    np.testing.assert_allclose(se2.between(poses[:-1], poses[1:]), [*deltas], atol=1e-12)
+    np.testing.assert_array_equal(poses[0], start)
+    np.testing.assert_array_equal(_core.chain(start, np.zeros((0, 3))), start[None])
+
+
+TRACK = trail_of([Odometry("r1", 0, 2, 0.5, 0.2)]).tracks[0]
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: _core.chain(np.zeros(2), np.zeros((1, 3))), "start: must have shape"),
+        (lambda: _core.chain(np.full(3, np.nan), np.zeros((1, 3))), "start: must be finite"),
+        (lambda: _core.chain(np.zeros(3), np.full((1, 3), np.inf)), "deltas: must be finite"),
+        (lambda: _core.Trail(np.zeros(12), 30.0), "motion: must have shape"),
+        (lambda: _core.Trail(np.full(13, np.nan), 30.0), "motion: must be finite"),
+        (lambda: _core.Trail(np.ones(13), 1.0).extend(np.zeros((1, 12))), "rows: must have shape"),
+        (lambda: _core.Trail(np.ones(13), 1.0).extend(np.full((1, 13), np.inf)), "rows: must be finite"),
+        (lambda: _core.Trail(np.ones(13), 1.0).extend(np.zeros((1, 13))), "rows: must end after they start"),
+        (lambda: _core.locate([], [0], [0.0]), "robots: index out of range"),
+        (lambda: _core.locate([None], [0, 0], [0.0]), "stamps: must have shape"),
+        (lambda: _core.locate([None], [0], [np.nan]), "stamps: must be finite"),
+        (lambda: _core.odometry([TRACK], [0], [5]), "first, last: must be keyframes of the track"),
+        (lambda: _core.odometry([TRACK], [3], [2]), "first, last: must be keyframes of the track"),
+        (lambda: _core.odometry([TRACK], [], [1]), "first, last: must have one entry per track"),
+        (lambda: _core.relative(np.zeros((2, 3)), np.zeros((6, 6)), 2), "ego: index out of range"),
+        (lambda: _core.relative(np.zeros((2, 3)), np.zeros((3, 3)), 0), "covariance: must have shape"),
+        (
+            lambda: _core.carry([TRACK], 2.0, np.ones(13), np.zeros((2, 3)), np.zeros((3, 3))),
+            "poses: must have shape",
+        ),
+    ],
+)
+def test_wrong_arguments_are_refused(call: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        call()
