@@ -78,8 +78,9 @@ def test_keyframes_cut_steps_of_any_length(lengths: list[float], omega: float) -
     if track.last:
         whole = trail_of([Odometry("r1", k / 2, (k + 1) / 2, 0.7, omega) for k in range(track.last)])
         _, expected = _core.odometry(whole.tracks, [0], [track.last])
-        found, expected = (np.linalg.inv(m).diagonal(axis1=1, axis2=2) for m in (information, expected))
-        np.testing.assert_allclose(found, expected, rtol=0.15)
+        # Only the sideways noise differs: heading lost in an earlier step of the interval turns what follows.
+        found, expected = (np.linalg.inv(m)[:, [0, 2], [0, 2]] for m in (information, expected))
+        np.testing.assert_allclose(found, expected, rtol=0.05)
 
 
 @given(st.floats(0.0, 4.0))
