@@ -11,15 +11,7 @@ import pytest
 from dgorl import logs
 from dgorl.logs import Log
 from dgorl.measurements import Bearing, Displacement, Odometry, Range
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-
-
-def recording(name: str) -> Path:
-    path = DATA / name
-    if not path.exists():
-        pytest.skip(f"{path} not there; docs tell where to get the recordings")
-    return path
+from tests.recordings import recording
 
 
 @pytest.fixture(scope="module")
