@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import cos, hypot, pi
 from pathlib import Path
 
@@ -37,11 +38,15 @@ def same_for_the_estimator(a: Log, b: Log) -> bool:
 
 
 def test_a_twist_is_held_until_the_robots_next_row(tmp_path: Path) -> None:
-    assert logs.read(folder(tmp_path)).measurements == (
-        Odometry("r1", 0.0, 1.0, 0.5, 0.1),
-        Odometry("r2", 0.5, 2.5, 0.4, 0.2),
-        Odometry("r1", 1.0, 9.0, 0.6, 0.0),
-    )
+    """... and reported every 0.1 s while it is held, so that a robot is not late while it goes on as told."""
+    measurements = logs.read(folder(tmp_path)).measurements
+    assert {(m.robot, m.v, m.omega) for m in measurements} == {("r1", 0.5, 0.1), ("r1", 0.6, 0.0), ("r2", 0.4, 0.2)}
+    for robot, begin, turn, end in (("r1", 0.0, 1.0, 9.0), ("r2", 0.5, 2.5, 2.5)):
+        own = [m for m in measurements if m.robot == robot]
+        assert (own[0].start, own[-1].end) == (begin, end)
+        assert all(a.end == b.start for a, b in pairwise(own))
+        assert all(m.end - m.start < 0.1001 for m in own)
+        assert all((m.v == own[0].v) == (m.end <= turn) for m in own)
 
 
 def test_all_kinds_in_the_order_they_are_known(tmp_path: Path) -> None:
@@ -71,10 +76,16 @@ def test_all_kinds_in_the_order_they_are_known(tmp_path: Path) -> None:
 
 def test_epochs_begin_when_a_robot_was_carried(tmp_path: Path) -> None:
     log = logs.read(folder(tmp_path, **{"team.yaml": "robots: [r1, r2]\nepochs: {r1: [1.0], r2: [1.5]}\n"}))
-    assert [(m.robot, m.start, m.epoch) for m in log.measurements if isinstance(m, Odometry)] == [
-        ("r1", 0.0, 0),
-        ("r1", 1.0, 1),
-    ]
+    odometry = [m for m in log.measurements if isinstance(m, Odometry)]
+    assert all(m.epoch == (m.start >= {"r1": 1.0, "r2": 1.5}[m.robot]) for m in odometry)
+    assert {(m.robot, m.epoch) for m in odometry} == {("r1", 0), ("r1", 1), ("r2", 0), ("r2", 1)}
+
+
+def test_odometry_is_left_out_while_a_robot_was_carried(tmp_path: Path) -> None:
+    rows = "start,end,robot,v,omega\n0,1,r1,1,0\n1,2,r1,1,0\n"
+    team = "robots: [r1, r2]\nepochs: {r1: [1.5]}\n"
+    log = logs.read(folder(tmp_path, **{"team.yaml": team, "odometry.csv": rows}))
+    assert [m for m in log.measurements if isinstance(m, Odometry)] == [Odometry("r1", 0.0, 1.0, 1.0, 0.0)]
     assert log.skipped == {"odometry while the robot was carried": 1}
 
 
@@ -147,12 +158,14 @@ def test_mrclam_holds_twists_for_a_second_and_turns_depth_into_range(tmp_path: P
         (tmp_path / name).write_text(text)
     log = logs.read(tmp_path)
     assert log.robots == ("r1", "r2")
-    assert log.measurements == (
+    held = [m for m in log.measurements if isinstance(m, Odometry) and m.robot == "r1" and m.v == 0.5]
+    assert (held[0].start, held[-1].end) == (0.1, 1.1)
+    assert all(m.end - m.start < 0.1001 for m in held)
+    assert tuple(m for m in log.measurements if m not in held) == (
         Range("r1", "r2", 0.05, 3.0 / cos(0.5)),
         Bearing("r1", "r2", 0.05, 0.5),
         Odometry("r1", 0.0, 0.1, 0.1, 0.2),
         Odometry("r2", 0.2, 0.3, 0.1, 0.2),
-        Odometry("r1", 0.1, 1.1, 0.5, 0.6),
         Odometry("r1", 3.0, 3.1, 0.7, 0.8),
     )
     assert log.skipped == {"landmark": 1, "unknown barcode": 1, "own barcode": 1}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 from dgorl.errors import LogError
 from dgorl.logs.log import Log, Start, in_order
 from dgorl.logs.team import Team, read_team
-from dgorl.logs.text import Columns, Forward, Row, csv_rows, text_of
+from dgorl.logs.text import Columns, Forward, Row, csv_rows, held_twist, text_of
 from dgorl.logs.truth import first_odometry, read_truth, starts_from
 from dgorl.measurements import Bearing, Covariance, Displacement, Measurement, Odometry, Range, Rssi
 
@@ -75,7 +76,7 @@ def _held(rows: Iterator[Row], team: Team) -> Iterator[Odometry]:
         forward.check(row, stamp, robot)
         if robot in held:
             start, v, omega = held[robot]
-            yield row.make(Odometry, robot, start, stamp, v, omega, team.epoch(robot, start))
+            yield from held_twist(row, robot, start, stamp, v, omega, partial(team.epoch, robot))
         held[robot] = (stamp, row.number(2), row.number(3))
 
 

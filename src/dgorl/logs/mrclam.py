@@ -14,7 +14,7 @@ from pathlib import Path
 
 from dgorl.errors import LogError
 from dgorl.logs.log import Log, in_order
-from dgorl.logs.text import Columns, Forward, dat_rows
+from dgorl.logs.text import Columns, Forward, dat_rows, held_twist
 from dgorl.logs.truth import first_odometry, rising, starts_from
 from dgorl.measurements import Bearing, Measurement, Odometry, Range
 from dgorl.se2 import Array
@@ -70,7 +70,7 @@ def _odometry(path: Path, robot: str) -> Iterator[Odometry]:
         stamp, v, omega = row.numbers(0, 3)
         forward.check(row, stamp)
         if held is not None and stamp > held[0]:
-            yield row.make(Odometry, robot, held[0], min(stamp, held[0] + HOLD), held[1], held[2])
+            yield from held_twist(row, robot, held[0], min(stamp, held[0] + HOLD), held[1], held[2])
         held = (stamp, v, omega)
 
 

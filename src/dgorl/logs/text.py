@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from itertools import pairwise
+from math import ceil, isfinite
 from pathlib import Path
 from typing import TypeVar
 
 from dgorl.configuration import nearest
 from dgorl.errors import LogError, MeasurementError
+from dgorl.measurements import Odometry
 
 Columns = tuple[str, ...]
 T = TypeVar("T")
@@ -145,3 +147,17 @@ def dat_rows(path: Path, columns: Columns) -> Iterator[Row]:
             what = f"needs {len(columns)} columns ({' '.join(columns)}), got {len(fields)}"
             raise LogError(path, number, what)
         yield Row(path, number, columns, fields)
+
+
+REPORT = 0.1
+"""A robot that holds its twist says so at least this often [s]: what it does is known before its next command."""
+
+
+def held_twist(
+    row: Row, robot: str, start: float, end: float, v: float, omega: float, epoch: Callable[[float], int] = lambda _: 0
+) -> Iterator[Odometry]:
+    """A twist held from ``start`` to ``end`` [s], as the robot reports it while it holds; ``epoch``: that of a stamp."""
+    count = max(ceil((end - start) / REPORT - 1e-6), 1)
+    stamps = [start + k * REPORT for k in range(count)] + [end]
+    for begin, until in pairwise(stamps):
+        yield row.make(Odometry, robot, begin, until, v, omega, epoch(begin))
