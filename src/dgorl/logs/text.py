@@ -156,7 +156,7 @@ REPORT = 0.1
 def held_twist(
     row: Row, robot: str, start: float, end: float, v: float, omega: float, epoch: Callable[[float], int] = lambda _: 0
 ) -> Iterator[Odometry]:
-    """A twist held from ``start`` to ``end`` [s], as the robot reports it while it holds; ``epoch``: that of a stamp."""
+    """A twist held from ``start`` to ``end`` [s], as the robot reports it while it holds; ``epoch`` of a stamp."""
     count = max(ceil((end - start) / REPORT - 1e-6), 1)
     stamps = [start + k * REPORT for k in range(count)] + [end]
     for begin, until in pairwise(stamps):
