@@ -9,6 +9,8 @@ namespace dgorl {
 namespace {
 
 constexpr double kRounding = 1e-6;  // odometry nearer than this [s] follows on: the resolution of stamps
+constexpr double kLeastVariance =
+    1e-12;  // [m^2, rad^2] keeps the information of odometry without noise finite
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 std::int64_t grid(double stamp) { return static_cast<std::int64_t>(std::floor(stamp * kKeyframesPerSecond)); }
@@ -50,7 +52,7 @@ void Track::append(const Step& step) {
     pieces_.push_back({piece, k, open_.delta});
     open_.append(Pose(piece.delta.data()), piece.covariance);
     if (end == border) {
-      const Matrix3 information = open_.covariance.inverse();
+      const Matrix3 information = (open_.covariance + kLeastVariance * Matrix3::Identity()).inverse();
       intervals_.push_back({open_.delta.vec(), 0.5 * (information + information.transpose())});
       open_ = Travelled();
     }

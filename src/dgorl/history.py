@@ -109,6 +109,11 @@ class History:
         """All tracks in canonical order."""
         return sorted(track for trail in self.trails.values() for track in trail.tracks)
 
+    def next_odometry(self, after: float) -> float:
+        """The first time from ``after`` [s] on of which odometry tells, infinity if none does."""
+        tracks = (track for trail in self.trails.values() for track in trail.tracks)
+        return min((max(track.key.begin, after) for track in tracks if track.end > after), default=inf)
+
     def linked(self, a: Track, b: Track) -> bool:
         """Whether measurements link two tracks, over others if need be, since both began."""
         begin = {a.key.robot: a.key.begin, b.key.robot: b.key.begin}

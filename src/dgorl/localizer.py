@@ -11,7 +11,7 @@ from dgorl.configuration import Configuration
 from dgorl.estimate import Estimate, PeerEstimate, Status
 from dgorl.graph import optimized_graph
 from dgorl.history import WORLD_KEY, History
-from dgorl.measurements import WORLD, Measurement
+from dgorl.measurements import LARGEST, WORLD, Measurement
 from dgorl.nodes import SPACING, Memo
 from dgorl.se2 import Array
 from dgorl.team_state import TeamState, team_state
@@ -36,7 +36,12 @@ class Team:
         self.history.add(measurement)
 
     def update(self, now: float) -> list[TeamState]:
-        """The components of more than one member at ``now`` [s], optimised and carried on to ``now``."""
+        """The components of more than one member at ``now`` [s], optimised and carried on to ``now``.
+
+        Raises ValueError when ``now`` is not a time.
+        """
+        if not abs(now) <= LARGEST:
+            raise ValueError(f"now must be a time in seconds, got {now}")
         g = self._memo.due(now)
         self._memo.invalidate(self.history.admit(now, node_due=g > self._last_node))
         if g > self._last_node:

@@ -14,6 +14,15 @@ from dgorl.errors import MeasurementError
 
 WORLD = "world"
 
+LARGEST = 1e10
+"""No stamp [s], distance [m] or rate is larger: what is was meant in other units."""
+
+LONGEST = 60.0
+"""Odometry tells of at most this long a time [s] in one row."""
+
+SMALLEST_SIGMA = 1e-6
+"""No sensor is better [m, rad]."""
+
 Covariance = tuple[float, float, float, float, float, float]
 """Upper triangle xx, xy, xθ, yy, yθ, θθ of a 3×3 covariance [m, rad]."""
 
@@ -25,7 +34,9 @@ def _require(condition: bool, what: str) -> None:
 
 def _finite(**values: float) -> None:
     for name, value in values.items():
-        if not isfinite(value):
+        if not -LARGEST <= value <= LARGEST:
+            if isfinite(value):
+                raise MeasurementError(f"{name} must be within ±{LARGEST:.0e}, got {value}; units are s, m, rad, dBm")
             raise MeasurementError(f"{name} must be finite, got {value}")
 
 
@@ -37,6 +48,10 @@ def _pair(a: str, b: str) -> None:
 def _interval(robot: str, start: float, end: float) -> None:
     if not end > start:
         raise MeasurementError(f"odometry must end after it starts, got {start} to {end}")
+    if end - start > LONGEST:
+        raise MeasurementError(
+            f"odometry over {end - start:.0f} s at once; give it in steps of at most {LONGEST:.0f} s"
+        )
     if not robot or robot == WORLD:
         raise MeasurementError(f"not a robot's name: {robot!r}")
 
@@ -48,6 +63,8 @@ def _covariance(values: Covariance) -> None:
     determinant = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
     positive = xx > 0 and xx * yy - xy * xy > 0 and determinant > 0
     _require(positive, "covariance must be positive definite")
+    least = SMALLEST_SIGMA**2
+    _require(min(xx, yy, tt) >= least, f"variances must be at least {least}, got {min(xx, yy, tt)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +145,7 @@ class Range:
         _require(self.range >= 0, f"range must not be negative, got {self.range}")
         if self.sigma is not None:
             _finite(sigma=self.sigma)
-            _require(self.sigma > 0, f"sigma must be positive, got {self.sigma}")
+            _require(self.sigma >= SMALLEST_SIGMA, f"sigma must be at least {SMALLEST_SIGMA}, got {self.sigma}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +163,7 @@ class Bearing:
         _finite(stamp=self.stamp, bearing=self.bearing)
         if self.sigma is not None:
             _finite(sigma=self.sigma)
-            _require(self.sigma > 0, f"sigma must be positive, got {self.sigma}")
+            _require(self.sigma >= SMALLEST_SIGMA, f"sigma must be at least {SMALLEST_SIGMA}, got {self.sigma}")
 
 
 @dataclass(frozen=True, slots=True)

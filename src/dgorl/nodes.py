@@ -75,16 +75,33 @@ class Memo:
         else:
             node = Node((ceil(self._earliest / SPACING) - 1) * SPACING)
         while node.stamp < g:
-            node = self._advance(node)
+            quiet = self._quiet_until(node, g)
+            node = self._advance(node) if quiet is None else Node(quiet, node.components)
             self._nodes[node.stamp] = node
         return node
+
+    def _quiet_until(self, node: Node, g: float) -> float | None:
+        """The last node time, at most ``g``, up to which nothing can change after ``node``; None if something may.
+
+        After a long silence, or a jump of the clock, the nodes between need not be computed one by one.
+        """
+        following = self._history.next_odometry(node.stamp)
+        if following <= node.stamp + SPACING or (node.components and self.low(g) > -inf):
+            return None
+        return g if following >= g else floor(following / SPACING) * SPACING
 
     def _advance(self, node: Node) -> Node:
         """F: node(g − 5) → node(g)."""
         g = node.stamp + SPACING
         low, boundary = self.low(node.stamp), self.low(g)
         grown = grow(self._history, node.components, low, g)
-        settled = [self._settled(c, low, g, boundary) for c in grown if len(c.stretches) > 1]
+        settled = []
+        for component in grown:
+            if len(component.stretches) > 1:
+                try:
+                    settled.append(self._settled(component, low, g, boundary))
+                except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
+                    continue
         return Node(g, tuple(c for c in settled if len(c.stretches) > 1))
 
     def _settled(self, component: Component, low: float, g: float, boundary: float) -> Component:
