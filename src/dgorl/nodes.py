@@ -111,7 +111,7 @@ class Memo:
         solution = native.solve(window.problem, np.zeros(0, np.int64), TOLERANCE)
         priors = component.priors
         if pin is not None and pin > window.base:
-            priors = _marginalized(window, solution.poses, pin)
+            priors = marginalized(window, solution.poses, pin)
         return Component(stretches(window, solution.poses, pin), priors)
 
 
@@ -127,7 +127,7 @@ def stretches(window: Window, poses: Array, first: int | None) -> Mapping[TrackK
     return found
 
 
-def _marginalized(window: Window, poses: Array, boundary: int) -> tuple[Prior, ...]:
+def marginalized(window: Window, poses: Array, boundary: int) -> tuple[Prior, ...]:
     """The prior at the boundary keyframe, relative to the first track by name that stands there."""
     standing = {
         window.index(key, boundary): key
