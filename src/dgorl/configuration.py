@@ -86,7 +86,7 @@ class Ranging:
     """σ at zero distance [m]; null takes each measurement's own"""
     sigma_per_metre: float = 0.0
     """growth of σ with distance [m/m]; used with sigma"""
-    kernel: Kernel = "none"
+    kernel: Kernel = "huber"
     """robust kernel; the one-sided ones distrust long ranges alone"""
     width: float = 2.0
     """kernel width [σ]"""
@@ -102,7 +102,7 @@ class Bearings:
     """added to the reported bearing [rad]"""
     sigma: float | None = None
     """σ [rad]; null takes each measurement's own"""
-    kernel: Kernel = "none"
+    kernel: Kernel = "huber"
     """robust kernel"""
     width: float = 2.0
     """kernel width [σ]"""
