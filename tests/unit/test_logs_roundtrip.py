@@ -48,7 +48,8 @@ def small_logs(draw: st.DrawFn) -> Log:
     for k, robot in enumerate(robots):
         times = sorted(draw(st.lists(stamps, min_size=2 if k == 0 else 0, max_size=6, unique=True)))
         epoch = 0
-        for start, end in pairwise(times):
+        for start, following in pairwise(times):
+            end = min(following, start + draw(st.floats(1e-3, 59.0)))
             epoch += draw(st.integers(0, 1))
             if twists:
                 measurements.append(Odometry(robot, start, end, draw(numbers), draw(numbers), epoch))
