@@ -146,6 +146,7 @@ void bind_tracks(nb::module_& m) {
       .def_prop_ro("last", &Track::last)
       .def_prop_ro("end", &Track::end)
       .def("known", &Track::known, "stamp"_a)
+      .def("next", &Track::next, "stamp"_a)
       .def("newest", &Track::newest, "stamp"_a)
       .def(
           "locate",

@@ -37,6 +37,12 @@ double Track::known(double stamp) const {
   return next == pieces_.begin() ? -kInfinity : std::min(std::prev(next)->step.end, stamp);
 }
 
+double Track::next(double stamp) const {
+  const auto piece = std::upper_bound(pieces_.begin(), pieces_.end(), stamp,
+                                      [](double t, const Piece& p) { return t < p.step.end; });
+  return piece == pieces_.end() ? kInfinity : std::max(piece->step.origin, stamp);
+}
+
 std::int64_t Track::newest(double stamp) const {
   const double until = known(stamp);
   return std::isfinite(until) ? std::max(grid(until), first_) : first_;

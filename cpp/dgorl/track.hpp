@@ -38,6 +38,9 @@ class Track {
 
   // Until when odometry that began before stamp tells of this track, at most stamp; -infinity if none does.
   double known(double stamp) const;
+  // The first time from stamp on at which odometry tells more, infinity if never: a gap says so only at its
+  // end.
+  double next(double stamp) const;
   // The newest keyframe known from odometry that began before stamp.
   std::int64_t newest(double stamp) const;
   const KeyframeInterval& interval(std::int64_t keyframe) const { return intervals_[keyframe - first_]; }

@@ -224,6 +224,8 @@ class Track:
         """Until when odometry is known [s]."""
     def known(self, stamp: float) -> float:
         """Until when odometry that began before ``stamp`` tells of it, at most ``stamp`` [s]; −inf if none does."""
+    def next(self, stamp: float) -> float:
+        """The first time from ``stamp`` on at which odometry tells more, inf if never; of a gap, its end [s]."""
     def newest(self, stamp: float) -> int:
         """The newest keyframe known from odometry that began before ``stamp`` [s]."""
     def locate(self, stamp: float) -> tuple[int, _Array]:

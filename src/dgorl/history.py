@@ -110,9 +110,9 @@ class History:
         return sorted(track for trail in self.trails.values() for track in trail.tracks)
 
     def next_odometry(self, after: float) -> float:
-        """The first time from ``after`` [s] on of which odometry tells, infinity if none does."""
+        """The first time from ``after`` [s] on at which odometry tells more, infinity if it never does."""
         tracks = (track for trail in self.trails.values() for track in trail.tracks)
-        return min((max(track.key.begin, after) for track in tracks if track.end > after), default=inf)
+        return min((track.core.next(after) for track in tracks), default=inf)
 
     def linked(self, a: Track, b: Track) -> bool:
         """Whether measurements link two tracks, over others if need be, since both began."""

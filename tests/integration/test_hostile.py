@@ -88,12 +88,16 @@ def test_a_clock_that_jumps_costs_no_time(window):
     np.testing.assert_allclose(peer.pose[:2] ** 2 @ [1, 1], 9.0, rtol=0.05)
 
 
-def test_a_quiet_stretch_gives_the_same_as_nodes_one_by_one():
+@pytest.mark.parametrize("window", [30.0, "all"])
+@pytest.mark.parametrize("silence", [22.0, 380.0])
+def test_a_quiet_stretch_gives_the_same_as_nodes_one_by_one(window, silence):
     measurements = [start("r1", 0, 0, 0), start("r2", 3, 0, 0), *drive("r1", 0, 20), *drive("r2", 0, 20)]
-    again = [start("r1", 0, 0, 0, 400.0), start("r2", 4, 0, 0, 400.0), *drive("r1", 400, 430), *drive("r2", 400, 430)]
+    back = 20.0 + silence
+    again = [start("r1", 0, 0, 0, back), start("r2", 4, 0, 0, back)]
+    again += [*drive("r1", back, back + 30), *drive("r2", back, back + 30)]
     found = []
-    for asked in ((430.0,), np.arange(1.0, 430.5, 1.0)):
-        localizer = Localizer("r1", Configuration(history=1000))
+    for asked in ((back + 30,), np.arange(1.0, back + 30.5, 1.0)):
+        localizer = Localizer("r1", Configuration(history=1000, window=window))
         for measurement in (*measurements, *again):
             localizer.add(measurement)
         for now in asked:

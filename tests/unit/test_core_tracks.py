@@ -145,6 +145,7 @@ def test_what_is_known_before_a_stamp() -> None:
     track = trail_of([Odometry("r1", 0, 1, 0.5, 0.0), Odometry("r1", 3, 4, 0.5, 0.0)]).tracks[0]
     assert [track.known(t) for t in (0.0, 0.5, 2.0, 3.0, 3.5, 9.0)] == [-np.inf, 0.5, 1.0, 1.0, 3.5, 4.0]
     assert [track.newest(t) for t in (0.5, 2.0, 3.5)] == [1, 2, 7]
+    assert [track.next(t) for t in (-1.0, 0.5, 1.0, 2.0, 3.2, 4.0)] == [0.0, 0.5, 3.0, 3.0, 3.2, np.inf]
 
 
 def test_forgetting_and_late_rows_keep_the_rest() -> None:
