@@ -145,7 +145,9 @@ void Trail::forget(std::int64_t before) {
     if (track->end() >= stamp || track == tracks_.back()) kept.push_back(track);
   for (const auto& track : kept) track->forget(before);
   tracks_ = std::move(kept);
-  if (!tracks_.empty()) root_ = tracks_.front()->restarted();
+  // A track that was not cut may still begin earlier, when older odometry comes late.
+  const bool cut = !tracks_.empty() && tracks_.front()->first() > grid(tracks_.front()->begin);
+  root_ = cut ? tracks_.front()->restarted() : nullptr;
 }
 
 }  // namespace dgorl

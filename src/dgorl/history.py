@@ -97,12 +97,17 @@ class History:
 
     def forget(self, before: float) -> None:
         """Drop what is older than ``before`` [s], a multiple of the keyframe time."""
+        self.poses = [pose for pose in self.poses if pose.stamp >= before or self._waits(pose, before)]
         for trail in self.trails.values():
             trail.forget(int(np.floor(before * KEYFRAMES_PER_SECOND)))
         for table in self.tables.values():
             table.forget(before)
-        self.poses = [pose for pose in self.poses if pose.stamp >= before]
         self._seen = {bucket: seen for bucket, seen in self._seen.items() if (bucket + 1) * SEEN > before}
+
+    def _waits(self, pose: RelativePose, before: float) -> bool:
+        """Whether a known start holds for a track that has not begun, or begins after ``before`` [s]."""
+        placed = self.placed(pose) if pose.prior else None
+        return pose.prior and (placed is None or max(placed[2:]) >= before)
 
     @property
     def tracks(self) -> list[Track]:

@@ -45,7 +45,9 @@ def _pair(a: str, b: str) -> None:
     _require(a != b, f"a robot cannot measure itself: {a}")
 
 
-def _interval(robot: str, start: float, end: float) -> None:
+def _interval(robot: str, start: float, end: float, epoch: int) -> None:
+    if not 0 <= epoch < 2**53:
+        raise MeasurementError(f"epoch must be a whole number from 0 to 2^53, got {epoch}")
     if not end > start:
         raise MeasurementError(f"odometry must end after it starts, got {start} to {end}")
     if end - start > LONGEST:
@@ -84,7 +86,7 @@ class Odometry:
 
     def __post_init__(self) -> None:
         _finite(start=self.start, end=self.end, v=self.v, omega=self.omega)
-        _interval(self.robot, self.start, self.end)
+        _interval(self.robot, self.start, self.end, self.epoch)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,7 @@ class Displacement:
 
     def __post_init__(self) -> None:
         _finite(start=self.start, end=self.end, dx=self.dx, dy=self.dy, dtheta=self.dtheta)
-        _interval(self.robot, self.start, self.end)
+        _interval(self.robot, self.start, self.end, self.epoch)
         if self.covariance is not None:
             _covariance(self.covariance)
 

@@ -57,8 +57,8 @@ class Memo:
 
     def forget(self, before: float) -> None:
         """Forget nodes older than ``before`` [s]; the data admitted later never asks for them."""
-        if any(g >= before for g in self._nodes):
-            self._nodes = {g: node for g, node in self._nodes.items() if g >= before}
+        self._nodes = {g: node for g, node in self._nodes.items() if g >= before}
+        self._earliest = max(self._earliest, before)
 
     def low(self, g: float) -> float:
         """Start of the window of node(g) [s]."""
@@ -141,6 +141,12 @@ def marginalized(window: Window, poses: Array, boundary: int) -> tuple[Prior, ..
     members, relative, information, gradient = found
     if not len(members):
         return ()
-    names = {**standing, **({window.world: WORLD_KEY} if window.world is not None else {})}
+    names = {
+        window.index(key, boundary): key
+        for key, (_, first, n) in window.layout.items()
+        if first <= boundary < first + n
+    }
+    if window.world is not None:
+        names[window.world] = WORLD_KEY
     keys = tuple(names[int(member)] for member in members)
     return (Prior(boundary, standing[reference], keys, relative, information, gradient),)
