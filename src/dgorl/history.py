@@ -84,7 +84,8 @@ class History:
             stamp, _, measurement = item
             if measurement in self._seen.get(stamp // SEEN, ()):
                 continue
-            if now - stamp > self.configuration.history:
+            since = measurement.start if isinstance(measurement, Odometry | Displacement) else stamp
+            if now - since > self.configuration.history:
                 self.rejected["too late"] += 1
             elif now - stamp > LATE and not node_due:
                 early.append(item)
