@@ -95,9 +95,16 @@ Travelled Track::carried(double stamp, const MotionModel& model) const {
 
 void Track::forget(std::int64_t before) {
   before = std::min(before, last());
+  const auto from = [this](std::int64_t keyframe) {
+    return std::lower_bound(pieces_.begin(), pieces_.end(), keyframe,
+                            [](const Piece& p, std::int64_t k) { return p.keyframe < k; });
+  };
+  // What is kept begins with measured odometry: a bridge cannot be rebuilt without the row before it.
+  while (before > first_ && from(before) != pieces_.end() &&
+         from(before)->step.origin > from(before)->step.start)
+    --before;
   if (before <= first_) return;
-  const auto keep = std::lower_bound(pieces_.begin(), pieces_.end(), before,
-                                     [](const Piece& p, std::int64_t k) { return p.keyframe < k; });
+  const auto keep = from(before);
   pieces_.erase(pieces_.begin(), keep == pieces_.end() ? std::prev(keep) : keep);
   intervals_.erase(intervals_.begin(), intervals_.begin() + (before - first_));
   first_ = before;

@@ -81,10 +81,10 @@ class Trail:
 
     def forget(self, before: int) -> None:
         """Drop what ended before keyframe ``before``."""
-        stamp = before / KEYFRAMES_PER_SECOND - self._lag
+        self.core.forget(before)
+        stamp = self.core.tracks[0].first / KEYFRAMES_PER_SECOND - self._lag
         keep = bisect.bisect_right(self._rows, stamp, key=lambda row: row[1])
         del self._rows[: min(keep, len(self._rows) - 1)]
-        self.core.forget(before)
         self._name()
 
     def _name(self) -> None:

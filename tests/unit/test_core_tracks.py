@@ -164,6 +164,22 @@ def test_forgetting_and_late_rows_keep_the_rest() -> None:
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("cut", [17, 20, 24])
+def test_forgetting_inside_a_gap_keeps_what_rebuilds_it(cut: int) -> None:
+    rows = [Odometry("r1", k / 4, (k + 1) / 4, 0.5, 0.1) for k in (*range(33), *range(60, 80))]
+    whole, part = Trail("r1", MOTION, 30.0), Trail("r1", MOTION, 30.0)
+    whole.add(rows)
+    part.add(rows[:-2])
+    part.forget(cut)
+    part.add(rows[-1:])
+    assert not part.add(rows[-2:-1])
+    (a,), (b,) = whole.tracks, part.tracks
+    assert (a.key, a.core.last) == (b.key, b.core.last)
+    span = [b.core.first], [b.core.last]
+    for expected, found in zip(_core.odometry([a.core], *span), _core.odometry([b.core], *span), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_a_late_robot_is_predicted_with_growing_noise() -> None:
     track = trail_of([Odometry("r1", 0, 2, 0.5, 0.2)]).tracks[0]
     spreads = []
