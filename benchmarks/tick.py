@@ -33,6 +33,7 @@ STEADY = 40.0
 def feed(steps: int, sensor: str) -> tuple[list[Measurement], Configuration]:
     log = simulate(Scenario(steps=steps, sensors=(sensor,)))
     configuration = merge(Configuration(), log.configuration, "the simulated log")
+    configuration = merge(configuration, {"ranging": {"kernel": "none"}}, "the benchmark")  # as in GTSAM's graph
     return sorted([*known_starts(log), *log.measurements], key=known_at), configuration
 
 
