@@ -20,12 +20,22 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True)
+class PeerHypothesis:
+    """One of the places an ambiguous peer may be: probability, pose (3,) and covariance (3, 3) as in PeerEstimate."""
+
+    probability: float
+    pose: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class PeerEstimate:
     """One peer in the ego's body frame (x forward, y left) at the estimate's stamp.
 
     pose: (3,) of x, y, theta [m, m, rad], None while isolated or ambiguous without a guess. covariance: (3, 3) of
     (x, y, theta) in the ego's frame. probability: of the best hypothesis. age: since its last odometry [s].
-    reason: why not tracked; resolve_by: what would help.
+    reason: why not tracked; resolve_by: what would help. hypotheses: while ambiguous, all that are alive, most
+    probable first.
     """
 
     pose: Array | None
@@ -35,6 +45,7 @@ class PeerEstimate:
     age: float
     reason: str = ""
     resolve_by: str = ""
+    hypotheses: tuple[PeerHypothesis, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -197,11 +197,17 @@ def _joined(a: Component, b: Component, link: Link, tracks: Mapping[TrackKey, Tr
     T_b_robot = _pose_at(b, link.robot, link.stamp_robot, tracks)
     measured = np.array([link.pose.x, link.pose.y, link.pose.theta])
     T_a_b = se2.compose(se2.compose(T_a_reference, measured), se2.inverse(T_b_robot))
+    both = merged(a, b, T_a_b)
+    return Component(both.stretches, both.priors, (*both.links, link))
+
+
+def merged(a: Component, b: Component, T_a_b: Array) -> Component:
+    """One component of both; the one with the world, or the first by name, keeps its frame."""
     keep, move, T_keep_move = a, b, T_a_b
     if not a.has_world and (b.has_world or b.tracks[0] < a.tracks[0]):
         keep, move, T_keep_move = b, a, se2.inverse(T_a_b)
     moved = {key: Stretch(s.first, se2.compose(T_keep_move, s.poses)) for key, s in move.stretches.items()}
-    return Component({**keep.stretches, **moved}, (*keep.priors, *move.priors), (*keep.links, *move.links, link))
+    return Component({**keep.stretches, **moved}, (*keep.priors, *move.priors), (*keep.links, *move.links))
 
 
 def _pose_at(unit: Component, key: TrackKey, stamp: float, tracks: Mapping[TrackKey, Track]) -> Array:
