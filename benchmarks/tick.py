@@ -77,7 +77,7 @@ def window_problem() -> tuple[Problem, Array]:
     for measurement in measurements:
         localizer.add(measurement)
     localizer.update(64.0)
-    window = localizer.team.update(69.5)[0].window
+    window = localizer.team.update(69.5).joined[0].window
     newest = np.array([offset + count - 1 for offset, _, count in window.layout.values()])
     return window.problem, newest
 

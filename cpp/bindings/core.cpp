@@ -4,6 +4,7 @@
 
 #include "arguments.hpp"
 #include "dgorl/covariance.hpp"
+#include "dgorl/evidence.hpp"
 #include "dgorl/inspect.hpp"
 #include "dgorl/marginalize.hpp"
 #include "dgorl/motion.hpp"
@@ -23,6 +24,12 @@ struct Solution {
   nb::object poses, cost, iterations, reason, covariance;
 };
 
+// The poses of one start of a batch.
+std::vector<Pose> start(const Graph& graph, const Argument<double>& starts, std::size_t b, const char* name) {
+  const std::size_t n = starts.extent(1);
+  return graph.poses({starts.data() + 3 * n * b, static_cast<Eigen::Index>(n), 3}, name);
+}
+
 Solution optimize(const Graph& graph, nb::handle initial, int max_iterations, double step_tolerance,
                   double initial_damping) {
   const Options options{max_iterations, step_tolerance, initial_damping};
@@ -38,8 +45,7 @@ Solution optimize(const Graph& graph, nb::handle initial, int max_iterations, do
     Optimizer optimizer(graph);
     poses.reserve(3 * n * batch);
     for (std::size_t b = 0; b < batch; ++b) {
-      const auto rows = static_cast<Eigen::Index>(n);
-      std::vector<Pose> x = graph.poses({starts.data() + 3 * n * b, rows, 3}, "initial");
+      std::vector<Pose> x = start(graph, starts, b, "initial");
       const Result result = optimizer.run(x, options);
       append(x, poses);
       cost.push_back(result.cost);
@@ -115,6 +121,38 @@ double cost(const Graph& graph, nb::handle poses) {
   return graph.cost(graph.poses(at, "poses").data());
 }
 
+nb::object costs(const Graph& graph, nb::handle poses) {
+  const Argument<double> starts("poses", poses, {kAny, graph.layout().poses(), 3});
+  std::vector<double> out;
+  {
+    const nb::gil_scoped_release unlocked;
+    for (std::size_t b = 0; b < starts.extent(0); ++b)
+      out.push_back(graph.cost(start(graph, starts, b, "poses").data()));
+  }
+  const std::size_t batch = out.size();
+  return to_numpy(std::move(out), {batch});
+}
+
+nb::tuple evidence_of(const Graph& graph, nb::handle poses, nb::handle select, nb::handle soft,
+                      nb::handle information) {
+  const Argument<double> starts("poses", poses, {kAny, graph.layout().poses(), 3});
+  const std::vector<int> selected = checked_selection(graph.layout(), IndexArgument("select", select));
+  const std::vector<int> weak = checked_selection(graph.layout(), IndexArgument("soft", soft));
+  const RowArgument<3> pi("information", information, static_cast<nb::ssize_t>(weak.size()));
+  const std::size_t batch = starts.extent(0), m = 3 * selected.size();
+  std::vector<double> determinants, covariances;
+  {
+    const nb::gil_scoped_release unlocked;
+    for (std::size_t b = 0; b < batch; ++b) {
+      const Evidence found = evidence(graph, start(graph, starts, b, "poses").data(), selected, weak, pi);
+      determinants.push_back(found.log_determinant);
+      covariances.insert(covariances.end(), found.covariance.data(), found.covariance.data() + m * m);
+    }
+  }
+  return nb::make_tuple(to_numpy(std::move(determinants), {batch}),
+                        to_numpy(std::move(covariances), {batch, m, m}));
+}
+
 nb::list residuals(const Graph& graph, nb::handle poses) {
   const RowArgument<3> at("poses", poses, graph.layout().poses());
   nb::list out;
@@ -164,6 +202,8 @@ void bind(nb::module_& m) {
       .def("solve", &solve, "initial"_a, "select"_a, "max_iterations"_a = 50, "step_tolerance"_a = 1e-9,
            "initial_damping"_a = 1e-6)
       .def("cost", &cost, "poses"_a)
+      .def("costs", &costs, "poses"_a)
+      .def("evidence", &evidence_of, "poses"_a, "select"_a, "soft"_a, "information"_a)
       .def("residuals", &residuals, "poses"_a)
       .def("covariance", &covariance, "poses"_a, "select"_a)
       .def("marginalize", &marginalize_slots, "poses"_a, "slot"_a)

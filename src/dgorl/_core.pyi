@@ -170,6 +170,16 @@ class Graph:
         """
     def cost(self, poses: ArrayLike) -> float:
         """½ Σ ρ(eᵀΩe) + Σ priors at the poses (N, 3)."""
+    def costs(self, poses: ArrayLike) -> _Array:
+        """:meth:`cost` of each of a batch (B, N, 3): (B,)."""
+    def evidence(
+        self, poses: ArrayLike, select: ArrayLike, soft: ArrayLike, information: ArrayLike
+    ) -> tuple[_Array, _Array]:
+        """log det(H + Π) (B,) and joint covariance (B, 3m, 3m) of the selected poses (m,) under H + Π. METHOD §4.
+
+        poses: (B, N, 3). H as in :meth:`covariance`; Π has diag(information (k, 3)) on the poses soft (k,).
+        Raises ValueError when even so a pose is undetermined.
+        """
     def residuals(self, poses: ArrayLike) -> list[tuple[str, _Array]]:
         """Per call of ``add_*``, in order: kind and normalised residuals before the kernel.
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import degrees, hypot, isfinite, sqrt
 
 import numpy as np
 
 from dgorl.configuration import Configuration
 from dgorl.estimate import Estimate, PeerEstimate, Status
+from dgorl.expansion.ticks import Weighed, hypotheses_now
 from dgorl.graph import optimized_graph
 from dgorl.history import WORLD_KEY, History
 from dgorl.measurements import LARGEST, WORLD, Measurement
 from dgorl.nodes import SPACING, Memo
+from dgorl.places import places_of
 from dgorl.se2 import Array
 from dgorl.team_state import TeamState, team_state
 from dgorl.tracks import Track, TrackKey
@@ -20,6 +23,14 @@ from dgorl.window import grow
 
 RETAINED = 10.0
 """Raw data is kept this much longer [s] than the history and the window need."""
+
+
+@dataclass(frozen=True)
+class TeamNow:
+    """The team at one time: joined components, and for each cluster its hypotheses, most probable first."""
+
+    joined: tuple[TeamState, ...]
+    clusters: tuple[tuple[Weighed, ...], ...]
 
 
 class Team:
@@ -35,8 +46,8 @@ class Team:
         """Take a measurement, own or received, in any order, twice without harm."""
         self.history.add(measurement)
 
-    def update(self, now: float) -> list[TeamState]:
-        """The components of more than one member at ``now`` [s], optimised and carried on to ``now``.
+    def update(self, now: float) -> TeamNow:
+        """Components of more than one member and hypotheses about the others, optimised and carried on to ``now`` [s].
 
         Raises ValueError when ``now`` is not a time.
         """
@@ -55,7 +66,8 @@ class Team:
                     states.append(team_state(self.history, component, low, now))
                 except ValueError:  # the graph leaves a pose undetermined: its members stay unjoined
                     continue
-        return states
+        clusters = (hypotheses_now(self.history, cluster, now) for cluster in node.clusters)
+        return TeamNow(tuple(states), tuple(tuple(weighed) for weighed in clusters if weighed))
 
     def _forget(self, now: float) -> None:
         history = self.configuration.history
@@ -82,18 +94,19 @@ class Localizer:
         """Every peer's relative pose at ``now`` [s] (Alg. 3: formation → expansion → optimisation)."""
         return self.view(self.team.update(now), now)
 
-    def view(self, states: Iterable[TeamState], now: float) -> Estimate:
-        """The team's states as this robot sees them: the ego frame is applied last."""
+    def view(self, team: TeamNow, now: float) -> Estimate:
+        """The team as this robot sees it: the ego frame is applied last."""
         history = self.team.history
         own = _current(history, self.robot, now)
-        state = next((s for s in states if own is not None and own.key in s.members), None)
+        state = next((s for s in team.joined if own is not None and own.key in s.members), None)
         relative = state.relative(own.key) if state is not None and own is not None else {}
+        possible = _possible(team, own)
         peers = {}
         for name in sorted(history.trails):
             track = _current(history, name, now)
             if name != self.robot and track is not None:
-                peers[name] = self._peer(own, track, state, relative, now)
-        if WORLD_KEY in relative and state is not None:
+                peers[name] = self._peer(own, track, relative, possible, now)
+        if WORLD_KEY in relative:
             pose, covariance = relative[WORLD_KEY]
             status, reason = _status(pose, covariance, self.team.configuration)
             peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
@@ -109,8 +122,8 @@ class Localizer:
         self,
         own: Track | None,
         track: Track,
-        state: TeamState | None,
         relative: Mapping[TrackKey, tuple[Array, Array]],
+        possible: Sequence[tuple[float, Mapping[TrackKey, tuple[Array, Array]]]],
         now: float,
     ) -> PeerEstimate:
         """METHOD §3, Status."""
@@ -121,15 +134,33 @@ class Localizer:
         if age > configuration.status.age:
             reason = f"no odometry from {track.key.robot} for {age:.0f} s"
             return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "restore the link")
-        if track.key not in relative:
-            if history.linked(own, track):
-                reason = "measurements link us, but the relative pose is not known"
-                return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "a known start or relative pose")
-            reason = "no measurement links us"
-            return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "come into range")
-        pose, covariance = relative[track.key]
-        status, reason = _status(pose, covariance, configuration)
-        return PeerEstimate(pose, covariance, status, 1.0, age, reason)
+        if track.key in relative:
+            pose, covariance = relative[track.key]
+            status, reason = _status(pose, covariance, configuration)
+            return PeerEstimate(pose, covariance, status, 1.0, age, reason)
+        places = places_of(track.key, possible)
+        if places:
+            best = places[0]
+            count = f"{len(places)} places fit" if len(places) > 1 else "one place fits, not yet for long enough"
+            reason = f"{count}, the best with probability {best.probability:.3f}"
+            return PeerEstimate(
+                best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, "", places
+            )
+        if history.linked(own, track):
+            reason = "measurements link us, but too few to tell where it is"
+            return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "keep moving within range")
+        reason = "no measurement links us"
+        return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "come into range")
+
+
+def _possible(
+    team: TeamNow, own: Track | None
+) -> Sequence[tuple[float, Mapping[TrackKey, tuple[Array, Array]]]]:
+    """The hypotheses of the cluster a track stands in, seen from it."""
+    for cluster in team.clusters:
+        if own is not None and any(own.key in state.members for _, state in cluster):
+            return [(p, state.relative(own.key)) for p, state in cluster if own.key in state.members]
+    return []
 
 
 def _current(history: History, robot: str, now: float) -> Track | None:

@@ -7,26 +7,20 @@ their stamp on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil, floor, inf
 
-import numpy as np
-
-from dgorl.history import WORLD_KEY, History
-from dgorl.optimization import native
-from dgorl.se2 import Array
-from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
-from dgorl.window import WORLD_STRETCH, Component, Prior, Stretch, Window, assemble, grow
+from dgorl.expansion.clusters import advance
+from dgorl.expansion.hypotheses import Cluster
+from dgorl.history import History
+from dgorl.marginal import settled
+from dgorl.window import Component, alone, grow
 
 SPACING = 5.0
 """Seconds between nodes."""
 
 DELAY = 1.0
 """A node is first used this long after its time [s], when most of its data has arrived."""
-
-TOLERANCE = 1e-9
-"""Largest last step of a node's optimisation [m, rad]."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +29,7 @@ class Node:
 
     stamp: float
     components: tuple[Component, ...] = ()
+    clusters: tuple[Cluster, ...] = ()
 
 
 class Memo:
@@ -76,7 +71,7 @@ class Memo:
             node = Node((ceil(self._earliest / SPACING) - 1) * SPACING)
         while node.stamp < g:
             quiet = self._quiet_until(node, g)
-            node = self._advance(node) if quiet is None else Node(quiet, node.components)
+            node = self._advance(node) if quiet is None else Node(quiet, node.components, node.clusters)
             self._nodes[node.stamp] = node
         return node
 
@@ -86,67 +81,22 @@ class Memo:
         After a long silence, or a jump of the clock, the nodes between need not be computed one by one.
         """
         following = self._history.next_odometry(node.stamp)
-        if following <= node.stamp + SPACING or (node.components and self.low(g) > -inf):
+        if following <= node.stamp + SPACING or node.clusters or (node.components and self.low(g) > -inf):
             return None
         return g if following >= g else floor(following / SPACING) * SPACING
 
     def _advance(self, node: Node) -> Node:
-        """F: node(g − 5) → node(g)."""
+        """F: node(g − 5) → node(g). Formation, expansion, optimisation: Alg. 3 for the nodes."""
         g = node.stamp + SPACING
         low, boundary = self.low(node.stamp), self.low(g)
-        grown = grow(self._history, node.components, low, g)
-        settled = []
-        for component in grown:
+        found = []
+        for component in grow(self._history, node.components, low, g):
             if len(component.stretches) > 1:
                 try:
-                    settled.append(self._settled(component, low, g, boundary))
+                    found.append(settled(self._history, component, low, g, boundary))
                 except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
-                    continue
-        return Node(g, tuple(c for c in settled if len(c.stretches) > 1))
-
-    def _settled(self, component: Component, low: float, g: float, boundary: float) -> Component:
-        """The component converged, with everything before ``boundary`` marginalised into a prior."""
-        pin = None if boundary == -inf else int(boundary * KEYFRAMES_PER_SECOND)
-        window = assemble(self._history, component, low, g, pin)
-        solution = native.solve(window.problem, np.zeros(0, np.int64), TOLERANCE)
-        priors = component.priors
-        if pin is not None and pin > window.base:
-            priors = marginalized(window, solution.poses, pin)
-        return Component(stretches(window, solution.poses, pin), priors)
-
-
-def stretches(window: Window, poses: Array, first: int | None) -> Mapping[TrackKey, Stretch]:
-    """A solution's poses by track, from keyframe ``first`` on; tracks that ended before it are left out."""
-    found: dict[TrackKey, Stretch] = {}
-    for key, (offset, start, count) in window.layout.items():
-        skip = 0 if first is None else max(first - start, 0)
-        if skip < count:
-            found[key] = Stretch(start + skip, poses[offset + skip : offset + count])
-    if window.world is not None:
-        found[WORLD_KEY] = WORLD_STRETCH
-    return found
-
-
-def marginalized(window: Window, poses: Array, boundary: int) -> tuple[Prior, ...]:
-    """The prior at the boundary keyframe, relative to the first track by name that stands there."""
-    standing = {
-        window.index(key, boundary): key
-        for key, (_, first, count) in window.layout.items()
-        if first < boundary < first + count
-    }
-    if not standing:
-        return ()
-    reference = min(standing)
-    found = native.marginalize(window.problem, poses, boundary - window.base, reference, window.world)
-    members, relative, information, gradient = found
-    if not len(members):
-        return ()
-    names = {
-        window.index(key, boundary): key
-        for key, (_, first, n) in window.layout.items()
-        if first <= boundary < first + n
-    }
-    if window.world is not None:
-        names[window.world] = WORLD_KEY
-    keys = tuple(names[int(member)] for member in members)
-    return (Prior(boundary, standing[reference], keys, relative, information, gradient),)
+                    found += [alone(track, low, g) for track in self._history.tracks if track.key in component.stretches]
+            else:
+                found.append(component)
+        components, clusters = advance(self._history, node.clusters, found, low, g, boundary)
+        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters))

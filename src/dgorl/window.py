@@ -98,12 +98,12 @@ def grow(history: History, components: Iterable[Component], low: float, limit: f
     Every track with odometry in the window is in exactly one of the components returned, alone if nothing links it.
     """
     tracks = {t.key: t for t in history.tracks if t.core.known(limit) >= max(low, t.key.begin)}
-    units = [_extended(unit, tracks, limit) for unit in components]
+    units = [extended(unit, tracks, limit) for unit in components]
     taken = {key for unit in units for key in unit.stretches}
-    units += [_alone(track, low, limit) for key, track in tracks.items() if key not in taken]
+    units += [alone(track, low, limit) for key, track in tracks.items() if key not in taken]
     if not any(unit.has_world for unit in units):
         units.append(Component({WORLD_KEY: WORLD_STRETCH}))
-    for link in _links(history, tracks, low, limit):
+    for link in links(history, tracks, low, limit):
         a = next(unit for unit in units if link.reference in unit.stretches)
         b = next(unit for unit in units if link.robot in unit.stretches)
         units = [unit for unit in units if unit is not a and unit is not b]
@@ -151,7 +151,8 @@ _EMPTY = Problem(
 )  # fmt: skip
 
 
-def _extended(unit: Component, tracks: Mapping[TrackKey, Track], limit: float) -> Component:
+def extended(unit: Component, tracks: Mapping[TrackKey, Track], limit: float) -> Component:
+    """A component carried on to ``limit`` [s] by odometry, without the tracks that are not among ``tracks``."""
     stretches = {}
     for key, stretch in unit.stretches.items():
         if key == WORLD_KEY:
@@ -167,15 +168,17 @@ def _extended(unit: Component, tracks: Mapping[TrackKey, Track], limit: float) -
     return Component(stretches, unit.priors)
 
 
-def _alone(track: Track, low: float, limit: float) -> Component:
+def alone(track: Track, low: float, limit: float) -> Component:
+    """A track by itself from ``low`` to ``limit`` [s], beginning at the origin."""
     core = track.core
     first = core.first if low == -np.inf else max(core.first, int(np.floor(low * KEYFRAMES_PER_SECOND)))
     delta, _ = _core.odometry([core], [first], [core.newest(limit)])
     return Component({track.key: Stretch(first, _core.chain(np.zeros(3), delta))})
 
 
-def _links(history: History, tracks: Mapping[TrackKey, Track], low: float, limit: float) -> list[Link]:
-    links = []
+def links(history: History, tracks: Mapping[TrackKey, Track], low: float, limit: float) -> list[Link]:
+    """Measured relative poses with low ≤ stamp ≤ limit [s] between tracks whose odometry is known there."""
+    found = []
     for pose in history.poses:
         placed = history.placed(pose)
         if placed is None:
@@ -185,8 +188,8 @@ def _links(history: History, tracks: Mapping[TrackKey, Track], low: float, limit
             if key != WORLD_KEY and (key not in tracks or not low <= stamp <= tracks[key].core.known(limit)):
                 break
         else:
-            links.append(link)
-    return links
+            found.append(link)
+    return found
 
 
 def _joined(a: Component, b: Component, link: Link, tracks: Mapping[TrackKey, Track]) -> Component:
@@ -306,6 +309,7 @@ def _scalars(
         a, b = rows.track_a, rows.track_b
         i, j = offset[a] + rows.keyframe_a - first[a], offset[b] + rows.keyframe_b - first[b]
         use = rows.stamp <= np.minimum(until[a], until[b])
+        use &= (rows.keyframe_a >= first[a]) & (rows.keyframe_b >= first[b])
         if not use.any():
             continue
         if not use.all():

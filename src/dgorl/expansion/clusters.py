@@ -1,0 +1,281 @@
+"""From node to node: which components are linked, what is possible of them, and who is joined. METHOD §4."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, inf
+
+import numpy as np
+
+from dgorl import se2
+from dgorl.expansion import drafts
+from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
+from dgorl.expansion.hypotheses import (
+    BEAM,
+    CERTAIN,
+    Cluster,
+    Hypothesis,
+    agreement,
+    distinct,
+    groups_of,
+    probabilities,
+)
+from dgorl.history import WORLD_KEY, History
+from dgorl.marginal import marginalized, settled, stretches
+from dgorl.se2 import Array
+from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey
+from dgorl.window import Component, Link, Prior, alone, extended, links
+
+ENOUGH = 4
+"""Readings between two components from which on they are expanded."""
+
+RECENT = 20
+"""Keyframes of a hypothesis that ticks optimise; what came before is a prior to them."""
+
+STARTS = 10
+"""Candidate graphs that are fully optimised at a time."""
+
+RESEEDED = 2
+"""Hypotheses whose bodies are placed anew at every node."""
+
+Group = tuple[TrackKey, ...]
+
+
+@dataclass(frozen=True)
+class Step:
+    """Where a cluster is taken at node time g [s], with the tracks known there."""
+
+    history: History
+    tracks: Mapping[TrackKey, Track]
+    g: float
+
+    @property
+    def seed(self) -> tuple[int, int]:
+        return self.history.configuration.seed, int(self.g) % 2**31
+
+
+def advance(
+    history: History, previous: Sequence[Cluster], components: Sequence[Component], low: float, g: float, boundary: float
+) -> tuple[list[Component], list[Cluster]]:
+    """Components and clusters at node g [s]: components joined where two nodes agree, hypotheses about the others.
+
+    previous: the clusters of the node before. low, boundary: starts of this and the next node's window [s].
+    """
+    members = {key: k for k, component in enumerate(components) for key in component.tracks}
+    step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g)
+    kept, clusters = list(range(len(components))), []
+    joined: list[Component] = []
+    for linked, since in _linked(history, members, len(components), g):
+        mine = [components[k] for k in linked]
+        before = _before(previous, mine)
+        try:
+            cluster = _expanded(step, before, mine, since)
+        except ValueError:  # the graph leaves a pose undetermined: nothing can be said of these
+            continue
+        again = cluster.agreed & before.agreed if before is not None else frozenset()
+        left = set(linked)
+        for group in groups_of(sorted(again), members):
+            try:
+                joined.append(_joined(step, cluster, [components[k] for k in sorted(group)], boundary))
+            except ValueError:
+                continue
+            left -= group
+            kept = [k for k in kept if k not in group]
+        if len(left) + len(groups_of(sorted(again), members)) > 1:
+            clusters.append(cluster)
+    return [*(components[k] for k in kept), *joined], clusters
+
+
+def contacts(history: History, members: Mapping[TrackKey, int], low: float, high: float) -> dict[tuple[int, int], tuple[int, float]]:
+    """Readings between components in [low, high] [s]: pair → (their number, stamp of the first)."""
+    number = np.full(len(history.numbers) + 1, -1)
+    for key, k in members.items():
+        number[history.numbers[key]] = k
+    found: dict[tuple[int, int], tuple[int, float]] = {}
+    size = max(members.values(), default=0) + 1
+    for table in history.tables.values():
+        rows = table.between(low, high)
+        a, b = number[rows.track_a], number[rows.track_b]
+        use = np.flatnonzero((a >= 0) & (b >= 0) & (a != b))
+        if not len(use):
+            continue
+        code = np.minimum(a[use], b[use]) * size + np.maximum(a[use], b[use])
+        codes, first, count = np.unique(code, return_index=True, return_counts=True)
+        for c, f, n in zip(codes.tolist(), first.tolist(), count.tolist(), strict=True):
+            pair = divmod(c, size)
+            known = found.get(pair, (0, inf))
+            found[pair] = (known[0] + n, min(known[1], float(rows.stamp[use[f]])))
+    return found
+
+
+def _linked(history: History, members: Mapping[TrackKey, int], count: int, g: float) -> list[tuple[list[int], float]]:
+    """Sets of two or more components that readings of the last ``history`` seconds link, and the stamp of the first."""
+    horizon = -inf if history.configuration.window == "all" else g - history.configuration.history
+    sets: list[tuple[set[int], float]] = []
+    for (a, b), (n, first) in sorted(contacts(history, members, horizon, g).items()):
+        if n < ENOUGH:
+            continue
+        joined, since = {a, b}, first
+        for other in [s for s in sets if s[0] & joined]:
+            sets.remove(other)
+            joined, since = joined | other[0], min(since, other[1])
+        sets.append((joined, since))
+    return [(sorted(s), since) for s, since in sorted(sets, key=lambda s: min(s[0]))]
+
+
+def _before(previous: Sequence[Cluster], components: Sequence[Component]) -> Cluster | None:
+    """The cluster that knew most of the tracks of these components."""
+    tracks = {key for component in components for key in component.tracks}
+    known = [c for c in previous if len(c.tracks & tracks) > 1]
+    return max(known, key=lambda c: (len(c.tracks & tracks), sorted(c.tracks)), default=None)
+
+
+def _expanded(step: Step, before: Cluster | None, components: Sequence[Component], since: float) -> Cluster:
+    """The cluster of these components at g, from what was known of it."""
+    history, g = step.history, step.g
+    first = floor(since * KEYFRAMES_PER_SECOND)
+    base = first if before is None else max(before.base, first)
+    groups = [tuple(component.stretches) for component in components]
+    known = [] if before is None else [_carried(step, h.component, groups, base) for h in before.hypotheses]
+    added = [_fresh(step, component, base) for component in components]
+    unions = [_union([h, *(c for c in added if not c.stretches.keys() & h.stretches.keys())]) for h in known]
+    union = unions[0] if unions else _union(added)
+    union = Component(union.stretches, union.priors, internal_links(step, union, base / KEYFRAMES_PER_SECOND))
+    graph = cluster_graph(history, union, groups, base, g)
+    noise, k = graph.drift(), history.configuration.candidates
+    if unions:
+        fresh = [j for j, c in enumerate(added) if not c.stretches.keys() & known[0].stretches.keys()]
+        starts = np.stack([graph.start(union) for union in unions])
+        if fresh:
+            starts = _with_new(step, graph, starts, fresh, k)
+        optima = distinct(graph.optimize(starts))
+    else:
+        shapes = drafts.shapes_of(graph, graph.start(union), noise, step.seed)
+        optima = distinct(graph.optimize(shapes.starts(drafts.cold(shapes, k)[:STARTS])))
+        optima = _reseeded(step, graph, optima)
+    optima = _reseeded(step, graph, optima)
+    return _cluster(step, graph, optima, union, base)
+
+
+def _with_new(step: Step, graph: ClusterGraph, starts: Array, fresh: list[int], k: int) -> Array:
+    """Starts in which components new to the cluster are placed where each hypothesis sees them."""
+    placed = [j for j in range(len(graph.bodies)) if j not in fresh]
+    grown = []
+    for start in starts[: max(STARTS // k, 1)]:
+        shapes = drafts.shapes_of(graph, start, graph.drift(), step.seed)
+        found = drafts.complete(shapes, np.zeros((1, shapes.size, 3)), placed, k)
+        grown.append(shapes.starts(found))
+    return np.concatenate(grown)[: 2 * STARTS]
+
+
+def _reseeded(step: Step, graph: ClusterGraph, optima: Optima) -> Optima:
+    """The best of the optima and of what re-seeding one body at a time of the best hypotheses leads to."""
+    noise = graph.drift()
+    starts = []
+    for poses in optima.poses[:RESEEDED]:
+        shapes = drafts.shapes_of(graph, poses, noise, step.seed)
+        starts.append(shapes.starts(drafts.reseeded(shapes)[:STARTS]))
+    more = np.concatenate(starts)
+    if not len(more):
+        return optima
+    found = graph.optimize(more)
+    return distinct(Optima(*(np.concatenate([a, b]) for a, b in zip(_fields(optima), _fields(found), strict=True))))
+
+
+def _fields(optima: Optima) -> tuple[Array, ...]:
+    return optima.poses, optima.cost, optima.mass, optima.relative, optima.covariance
+
+
+def _cluster(step: Step, graph: ClusterGraph, optima: Optima, union: Component, base: int) -> Cluster:
+    """The beam of these optima as a cluster."""
+    probability = probabilities(optima.mass)
+    pin = floor(step.g * KEYFRAMES_PER_SECOND) - RECENT
+    hypotheses = []
+    for poses, mass, p in zip(optima.poses, optima.mass, probability, strict=True):
+        component = Component(stretches(graph.window, poses, None), union.priors)
+        recent = component
+        if pin > graph.window.base:
+            recent = Component(stretches(graph.window, poses, pin), marginalized(graph.window, poses, pin))
+        same = len(optima.mass) == 1 or recent is component
+        recent_mass = float(mass) if same else _mass(step, graph.bodies, recent)
+        hypotheses.append(Hypothesis(component, float(mass), float(p), recent, recent_mass))
+    agreed = set()
+    keys = graph.keys
+    for a in range(len(keys)):
+        for b in range(a + 1, len(keys)):
+            if graph.body[graph.newest[a]] != graph.body[graph.newest[b]] and agreement(optima, probability, a, b) >= CERTAIN:
+                agreed.add((keys[a], keys[b]))
+    return Cluster(base, graph.bodies, tuple(hypotheses), frozenset(agreed))
+
+
+def _mass(step: Step, groups: Sequence[Group], recent: Component) -> float:
+    """Log mass of the recent part of a hypothesis where it stands."""
+    base = min(recent.stretches[key].first for key in recent.tracks)
+    unit = Component(recent.stretches, recent.priors, internal_links(step, recent, base / KEYFRAMES_PER_SECOND))
+    graph = cluster_graph(step.history, unit, groups, base, step.g)
+    poses = graph.start(unit)[None]
+    return float(graph.weigh(poses, graph.graph.costs(poses)).mass[0])
+
+
+def _joined(step: Step, cluster: Cluster, components: Sequence[Component], boundary: float) -> Component:
+    """One component of several, placed as the best hypothesis has them; a weak prior keeps it proper."""
+    keys = {key for component in components for key in component.stretches}
+    best = restricted(cluster.hypotheses[0].component, keys)
+    low = cluster.base / KEYFRAMES_PER_SECOND
+    weak = _weak(best, components, step)
+    best = Component(best.stretches, (*best.priors, *weak), internal_links(step, best, low))
+    return settled(step.history, best, low, step.g, boundary)
+
+
+def _weak(best: Component, components: Sequence[Component], step: Step) -> tuple[Prior, ...]:
+    """Π between the first track and the first of each other component, where both stand at the newest keyframe."""
+    first = best.tracks[0]
+    newest = {key: s.first + len(s.poses) - 1 for key, s in best.stretches.items()}
+    found = []
+    for component in components:
+        other = component.tracks[0]
+        keyframe = min(newest[first], newest[other])
+        if first in component.stretches or keyframe < max(best.stretches[first].first, best.stretches[other].first):
+            continue
+        a, b = (best.stretches[key].poses[keyframe - best.stretches[key].first] for key in (first, other))
+        relative = se2.between(a, b)
+        sigma = max(float(np.hypot(relative[0], relative[1])), 5.0)
+        information = np.diag([sigma**-2, sigma**-2, np.pi**-2])
+        found.append(Prior(keyframe, first, (other,), relative[None], information, np.zeros(3)))
+    return tuple(found)
+
+
+def restricted(component: Component, keys: Iterable[TrackKey]) -> Component:
+    """What a component knows of some of its tracks alone."""
+    keys = set(keys)
+    priors = tuple(p for p in component.priors if {p.reference, *p.members} <= keys)
+    return Component({key: s for key, s in component.stretches.items() if key in keys}, priors)
+
+
+def internal_links(step: Step, component: Component, low: float) -> tuple[Link, ...]:
+    """Measured relative poses inside a component since ``low`` [s]."""
+    inside = component.stretches
+    return tuple(
+        link for link in links(step.history, step.tracks, low, step.g) if {link.reference, link.robot} <= inside.keys()
+    )
+
+
+def _carried(step: Step, component: Component, groups: Sequence[Group], base: int) -> Component:
+    """A hypothesis carried on to g, of the tracks that are still there."""
+    keys = {key for group in groups for key in group}
+    kept = extended(restricted(component, keys), step.tracks, step.g)
+    return kept
+
+
+def _fresh(step: Step, component: Component, base: int) -> Component:
+    """A component as it enters a cluster: single tracks from the base on."""
+    if len(component.stretches) > 1 or WORLD_KEY in component.stretches:
+        return Component(component.stretches, component.priors)
+    return alone(step.tracks[component.tracks[0]], base / KEYFRAMES_PER_SECOND, step.g)
+
+
+def _union(components: Sequence[Component]) -> Component:
+    """Several components side by side, each in its own frame."""
+    stretches = {key: s for component in components for key, s in component.stretches.items()}
+    return Component(stretches, tuple(prior for component in components for prior in component.priors))

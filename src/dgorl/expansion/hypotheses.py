@@ -1,0 +1,113 @@
+"""The beam: what is possible of a cluster, with probabilities. METHOD §4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgorl import se2
+from dgorl.expansion.cluster_graph import Optima
+from dgorl.se2 import Array
+from dgorl.tracks import TrackKey
+from dgorl.window import Component
+
+BEAM = 8
+"""Hypotheses kept about a cluster."""
+
+SAME = 3.0
+"""Hypotheses nearer than this Mahalanobis distance are one."""
+
+ALIVE = 14.0
+"""Hypotheses whose log mass is this much below the best are dropped."""
+
+CERTAIN = 0.999
+"""Probability at which a relative pose is accepted, at two nodes in a row."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One optimum of a cluster's graph at a node.
+
+    component: all tracks since the cluster's base. recent: their last seconds with all that came before as a prior,
+    which ticks extend; recent_mass: its log mass at the node, so that ticks weigh by the change.
+    """
+
+    component: Component
+    mass: float
+    probability: float
+    recent: Component
+    recent_mass: float
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Components that measurements link but that are not joined, from keyframe ``base`` on; hypotheses best first.
+
+    groups: the tracks of each of its components. agreed: pairs of tracks on whose relative pose all probable hypotheses agree.
+    """
+
+    base: int
+    groups: tuple[tuple[TrackKey, ...], ...]
+    hypotheses: tuple[Hypothesis, ...]
+    agreed: frozenset[tuple[TrackKey, TrackKey]] = frozenset()
+
+    @property
+    def tracks(self) -> frozenset[TrackKey]:
+        return frozenset(self.hypotheses[0].component.tracks)
+
+
+def distinct(optima: Optima, limit: int = BEAM) -> Optima:
+    """The optima worth keeping, best first: at most ``limit``, none twice, none hopeless."""
+    keep: list[int] = []
+    for b in np.argsort(-optima.mass, kind="stable").tolist():
+        if len(keep) == limit or not np.isfinite(optima.mass[b]):
+            break
+        if keep and optima.mass[b] < optima.mass[keep[0]] - ALIVE:
+            break
+        if all(_distance(optima, a, b) > SAME for a in keep):
+            keep.append(b)
+    return optima[keep]
+
+
+def _distance(optima: Optima, a: int, b: int) -> float:
+    """Mahalanobis distance of two optima under the first one's H + Π."""
+    difference = se2.between(optima.relative[a, 1:], optima.relative[b, 1:]).ravel()
+    covariance = optima.covariance[a][3:, 3:]
+    return float(np.sqrt(max(difference @ np.linalg.solve(covariance, difference), 0.0)))
+
+
+def probabilities(mass: Array) -> Array:
+    """softmax of log masses (B,)."""
+    weight = np.exp(mass - mass.max())
+    return np.asarray(weight / weight.sum())
+
+
+def pair_relative(poses: Array, covariance: Array, a: int, b: int) -> tuple[Array, Array]:
+    """T_a_b (3,) of two tracks and its covariance (3, 3), right perturbations; poses (n, 3), covariance (3n, 3n)."""
+    T_a_b = se2.between(poses[a], poses[b])
+    back = se2.adjoint(se2.inverse(T_a_b))
+    rows_a, rows_b = slice(3 * a, 3 * a + 3), slice(3 * b, 3 * b + 3)
+    cross = covariance[rows_b, rows_a] @ back.T
+    return T_a_b, covariance[rows_b, rows_b] - cross - cross.T + back @ covariance[rows_a, rows_a] @ back.T
+
+
+def agreement(optima: Optima, probability: Array, a: int, b: int) -> float:
+    """Probability of the hypotheses that agree with the best one on the relative pose of tracks a and b."""
+    T_best, covariance = pair_relative(optima.relative[0], optima.covariance[0], a, b)
+    difference = se2.between(T_best, se2.between(optima.relative[:, a], optima.relative[:, b]))
+    square = np.einsum("bi,ij,bj->b", difference, np.linalg.inv(covariance), difference)
+    return float(probability[square <= SAME**2].sum())
+
+
+def groups_of(pairs: Sequence[tuple[TrackKey, TrackKey]], members: Mapping[TrackKey, int]) -> list[set[int]]:
+    """Sets of components that pairs of their tracks connect; members: track → its component."""
+    groups: list[set[int]] = []
+    for a, b in pairs:
+        joined = {members[a], members[b]}
+        for group in [g for g in groups if g & joined]:
+            groups.remove(group)
+            joined |= group
+        groups.append(joined)
+    return groups

@@ -1,0 +1,38 @@
+"""The places a peer may be at: hypotheses about its cluster that put it at the same place count together. METHOD §4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dgorl import se2
+from dgorl.estimate import PeerHypothesis
+from dgorl.se2 import Array
+from dgorl.tracks import TrackKey
+
+SAME = 3.0
+"""Places nearer than this Mahalanobis distance are one."""
+
+
+def places_of(
+    key: TrackKey, possible: Sequence[tuple[float, Mapping[TrackKey, tuple[Array, Array]]]]
+) -> tuple[PeerHypothesis, ...]:
+    """Distinct places of a track, most probable first.
+
+    possible: probability of each hypothesis, most probable first, and its relative poses (3,) with covariances (3, 3).
+    """
+    found: list[PeerHypothesis] = []
+    for probability, relative in possible:
+        if key not in relative:
+            continue
+        pose, covariance = relative[key]
+        for k, place in enumerate(found):
+            difference = pose - place.pose
+            difference[2] = se2.wrap(difference[2])
+            if difference @ np.linalg.solve(place.covariance, difference) <= SAME**2:
+                found[k] = PeerHypothesis(place.probability + probability, place.pose, place.covariance)
+                break
+        else:
+            found.append(PeerHypothesis(probability, pose, covariance))
+    return tuple(sorted(found, key=lambda place: -place.probability))
