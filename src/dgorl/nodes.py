@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil, floor, inf
 
-from dgorl.expansion.clusters import advance
+from dgorl.expansion.clusters import SPACING, advance
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.history import History
 from dgorl.marginal import settled
 from dgorl.window import Component, alone, grow
-
-SPACING = 5.0
-"""Seconds between nodes."""
 
 DELAY = 1.0
 """A node is first used this long after its time [s], when most of its data has arrived."""

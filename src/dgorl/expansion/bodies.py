@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dgorl import _core, se2
 from dgorl.optimization.problem import Indices, Loss, Problem
@@ -41,7 +42,7 @@ class Sightings:
     slope: Array
     loss: Loss
 
-    def between(self, i: Indices, j: Indices, keep: Array) -> Sightings:
+    def renumbered(self, i: Indices, j: Indices, keep: NDArray[np.bool_]) -> Sightings:
         """Those kept, with their bodies numbered anew."""
         rows = (self.point_i, self.point_j, self.height, self.value, self.sigma, self.distance, self.slope)
         return Sightings(self.kind, i[keep], j[keep], *(row[keep] for row in rows), self.loss)

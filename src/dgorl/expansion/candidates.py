@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dgorl import se2
 from dgorl.expansion.bodies import Sightings, body_graph
+from dgorl.optimization.problem import Indices
 from dgorl.se2 import Array
 
 BEARINGS, HEADINGS = 32, 24
@@ -19,6 +21,9 @@ ANNULI, ANNULUS = 8, 3.0
 
 FITS = 24
 """Particles that are fitted."""
+
+CELL = 0.15
+"""Relative width that the grid of particles adds to an annulus."""
 
 SAME = 3.0
 """Modes nearer than this Mahalanobis distance are one."""
@@ -49,39 +54,47 @@ def candidates(
     pi (3,): information of the weak prior on them. warm (W, 3): places known before, fitted anew besides.
     """
     graph = body_graph(found, 2, radio)
-    starts = [warm] if len(warm) else []
-    for anchor in _anchors(found):
-        particles = _cold(anchor, rng)
+    anchors = _anchors(found)
+    starts = [warm]
+    if anchors:
+        particles = np.concatenate([_cold(anchor, rng) for anchor in anchors])
         particles = particles[_inside(particles, found)]
-        spread = body_graph(found, 2, radio, _inflation(found, anchor))
-        cost = spread.costs(_starts(particles))
-        starts.append(_diverse(particles, cost, anchor[3]))
-    if not starts:
+        cost = body_graph(found, 2, radio, _inflation(found, anchors[-1])).costs(_starts(particles))
+        starts.append(_diverse(particles, cost, anchors[-1][2]))
+    start = np.concatenate(starts)
+    if not len(start):
         return Candidates(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3)))
-    fitted = graph.optimize(_starts(np.concatenate(starts)), max_iterations=25, step_tolerance=1e-3)
+    fitted = graph.optimize(_starts(start), max_iterations=25, step_tolerance=1e-3)
     logdet, covariance = graph.evidence(fitted.poses, [1], [1], pi[None])
     return distinct(Candidates(fitted.poses[:, 1], -fitted.cost - logdet / 2, covariance), k)
 
 
 def distinct(modes: Candidates, k: int) -> Candidates:
     """At most k modes, best first, no two nearer than Mahalanobis distance 3 under the better one's H + Π."""
-    keep: list[int] = []
     order = np.argsort(-modes.mass, kind="stable")
-    for m in order.tolist():
-        if not modes.mass[m] >= modes.mass[order[0]] - HOPELESS or len(keep) == k:
+    order = order[modes.mass[order] >= modes.mass[order[:1]] - HOPELESS]
+    poses, covariance = modes.poses[order], modes.covariance[order]
+    difference = se2.between(poses[:, None], poses[None])
+    square = np.einsum("abi,aij,abj->ab", difference, np.linalg.inv(covariance), difference)
+    keep = independent(square <= SAME**2, k)
+    return Candidates(poses[keep], modes.mass[order[keep]], covariance[keep])
+
+
+def independent(near: NDArray[np.bool_], limit: int) -> list[int]:
+    """The first rows of ``near`` (M, M) of which none is near an earlier one, at most ``limit``."""
+    keep: list[int] = []
+    taken = np.zeros(len(near), bool)
+    for m in range(len(near)):
+        if len(keep) == limit:
             break
-        if all(_apart(modes, j, m) for j in keep):
+        if not taken[m]:
             keep.append(m)
-    return Candidates(modes.poses[keep], modes.mass[keep], modes.covariance[keep])
+            taken |= near[m]
+    return keep
 
 
-def _apart(modes: Candidates, j: int, m: int) -> bool:
-    difference = se2.between(modes.poses[j], modes.poses[m])
-    return bool(difference @ np.linalg.solve(modes.covariance[j], difference) > SAME**2)
-
-
-Anchor = tuple[Array, Array, Array, float, float]
-"""point on a (3,), point on b (3,), bearing from a or empty, distance [m], its relative σ"""
+Anchor = tuple[Array, Array, float, float]
+"""point on a (3,), point on b (3,), distance between them [m], its relative σ"""
 
 
 def _anchors(found: list[Sightings]) -> list[Anchor]:
@@ -94,13 +107,13 @@ def _anchors(found: list[Sightings]) -> list[Anchor]:
         a, b = (s.point_i[m], s.point_j[m]) if s.i[m] == 0 else (s.point_j[m], s.point_i[m])
         distance = max(float(s.distance[m]), 0.05)
         relative = float(s.sigma[m] / (s.slope[m] * distance))
-        anchors.append((a, b, np.zeros(0), distance, min(relative, 1.0)))
+        anchors.append((a, b, distance, min(relative, 1.0)))
     return anchors
 
 
 def _cold(anchor: Anchor, rng: np.random.Generator) -> Array:
     """Particles T_a_b on the ring d̂·e^(sN) round the anchor, bearing and heading uniform, stratified."""
-    a, b, _, distance, relative = anchor
+    a, b, distance, relative = anchor
     bearing, heading = np.meshgrid(np.arange(BEARINGS), np.arange(HEADINGS), indexing="ij")
     beta = 2 * np.pi * (bearing.ravel() + rng.uniform()) / BEARINGS
     theta = se2.wrap(2 * np.pi * (heading.ravel() + rng.uniform()) / HEADINGS)
@@ -111,25 +124,27 @@ def _cold(anchor: Anchor, rng: np.random.Generator) -> Array:
     return np.stack([x, y, theta], axis=-1)
 
 
-def _inside(particles: Array, found: list[Sightings]) -> Array:
-    """Which particles lie in most annuli: all that do in every one, or those that miss the fewest."""
+def _inside(particles: Array, found: list[Sightings]) -> Indices:
+    """The particles where most annuli meet: all that lie in every one, or those that miss the fewest."""
     ranged = [s for s in found if s.kind != "bearing"]
-    total = sum(len(s.value) for s in ranged)
+    step = max(sum(len(s.value) for s in ranged) // ANNULI, 1)
     hits = np.zeros(len(particles), np.int64)
     for s in ranged:
-        step = max(total // ANNULI, 1)
-        for m in range(step // 2, len(s.value), step):
-            a, b = (s.point_i[m], s.point_j[m]) if s.i[m] == 0 else (s.point_j[m], s.point_i[m])
-            delta = se2.transform(particles, b[:2]) - a[:2]
-            distance = np.sqrt(np.sum(delta**2, axis=1) + s.height[m] ** 2)
-            relative = s.sigma[m] / (s.slope[m] * max(s.distance[m], 0.05)) + 0.15
-            hits += np.abs(np.log(np.maximum(distance, 1e-3) / max(s.distance[m], 0.05))) <= ANNULUS * relative
-    return np.argsort(-hits, kind="stable")[: max(int(np.sum(hits == hits.max())), len(particles) // 8)]
+        m = np.arange(step // 2, len(s.value), step)
+        first = (s.i[m] == 0)[:, None]
+        a, b = np.where(first, s.point_i[m], s.point_j[m]), np.where(first, s.point_j[m], s.point_i[m])
+        delta = se2.transform(particles[:, None], b[None, :, :2]) - a[:, :2]
+        distance = np.sqrt(np.sum(delta**2, axis=2) + s.height[m] ** 2)
+        known = np.maximum(s.distance[m], 0.05)
+        relative = s.sigma[m] / (s.slope[m] * known) + CELL
+        hits += np.sum(np.abs(np.log(np.maximum(distance, 1e-3) / known)) <= ANNULUS * relative, axis=1)
+    order = np.argsort(-hits, kind="stable")
+    return order[: max(int(np.sum(hits == hits.max())), len(particles) // 8)]
 
 
 def _inflation(found: list[Sightings], anchor: Anchor) -> Array:
     """Half a cell of the grid of particles as a variance of each reading's range [m²]."""
-    _, b, _, distance, _ = anchor
+    _, b, distance, _ = anchor
     parts = []
     for s in found:
         on_b = np.where((s.i == 0)[:, None], s.point_j, s.point_i)
@@ -140,15 +155,10 @@ def _inflation(found: list[Sightings], anchor: Anchor) -> Array:
 
 def _diverse(particles: Array, cost: Array, distance: float) -> Array:
     """The cheapest particles, none in the immediate neighbourhood of a cheaper one."""
-    order = np.argsort(cost, kind="stable")
-    left = particles[order]
-    chosen = []
-    while len(left) and len(chosen) < FITS:
-        chosen.append(left[0])
-        apart = np.sum((left[:, :2] - left[0, :2]) ** 2, axis=1) > (0.3 * distance) ** 2
-        apart |= np.abs(se2.wrap(left[:, 2] - left[0, 2])) > 0.4
-        left = left[apart]
-    return np.array(chosen)
+    best = particles[np.argsort(cost, kind="stable")[: 8 * FITS]]
+    apart = best[:, None] - best[None]
+    near = np.sum(apart[..., :2] ** 2, axis=2) < (0.3 * distance) ** 2
+    return best[independent(near & (np.abs(se2.wrap(apart[..., 2])) < 0.4), FITS)]
 
 
 def _starts(poses: Array) -> Array:

@@ -27,6 +27,9 @@ from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey
 from dgorl.window import Component, Link, Prior, alone, extended, links
 
+SPACING = 5.0
+"""Seconds between nodes."""
+
 ENOUGH = 4
 """Readings between two components from which on they are expanded."""
 
@@ -36,7 +39,7 @@ RECENT = 20
 STARTS = 10
 """Candidate graphs that are fully optimised at a time."""
 
-RESEEDED = 2
+RESEEDED = 1
 """Hypotheses whose bodies are placed anew at every node."""
 
 Group = tuple[TrackKey, ...]
@@ -51,8 +54,13 @@ class Step:
     g: float
 
     @property
+    def index(self) -> int:
+        """Number of the node."""
+        return int(self.g // SPACING)
+
+    @property
     def seed(self) -> tuple[int, int]:
-        return self.history.configuration.seed, int(self.g) % 2**31
+        return self.history.configuration.seed, self.index % 2**31
 
 
 def advance(
@@ -150,11 +158,14 @@ def _expanded(step: Step, before: Cluster | None, components: Sequence[Component
         if fresh:
             starts = _with_new(step, graph, starts, fresh, k)
         optima = distinct(graph.optimize(starts))
-    else:
-        shapes = drafts.shapes_of(graph, graph.start(union), noise, step.seed)
-        optima = distinct(graph.optimize(shapes.starts(drafts.cold(shapes, k)[:STARTS])))
+    if True:
+        rigid = Component({**union.stretches, **{key: c.stretches[key] for c in added if len(c.stretches) == 1 for key in c.stretches}})
+        shapes = drafts.shapes_of(graph, graph.start(rigid), noise, step.seed)
+        fresh_starts = shapes.starts(drafts.cold(shapes, k)[:STARTS])
+        found = graph.optimize(fresh_starts)
+        optima = distinct(_both(optima, found) if unions else found)
+    if True:
         optima = _reseeded(step, graph, optima)
-    optima = _reseeded(step, graph, optima)
     return _cluster(step, graph, optima, union, base)
 
 
@@ -180,7 +191,11 @@ def _reseeded(step: Step, graph: ClusterGraph, optima: Optima) -> Optima:
     if not len(more):
         return optima
     found = graph.optimize(more)
-    return distinct(Optima(*(np.concatenate([a, b]) for a, b in zip(_fields(optima), _fields(found), strict=True))))
+    return distinct(_both(optima, found))
+
+
+def _both(a: Optima, b: Optima) -> Optima:
+    return Optima(*(np.concatenate(pair) for pair in zip(_fields(a), _fields(b), strict=True)))
 
 
 def _fields(optima: Optima) -> tuple[Array, ...]:

@@ -72,7 +72,8 @@ def cold(shapes: Shapes, k: int) -> Array:
     linked = np.zeros((shapes.size, shapes.size), bool)
     for s in shapes.found:
         linked[s.i, s.j] = linked[s.j, s.i] = True
-    reference = int(np.argmax(linked.sum(axis=1)))
+    best = np.flatnonzero(linked.sum(axis=1) == linked.sum(axis=1).max())
+    reference = int(best[shapes.seed[-1] % len(best)])
     members = [j for j in range(shapes.size) if linked[reference, j]]
     places = {j: place(shapes, np.zeros((shapes.size, 3)), [reference], j, k) for j in members}
     members = [j for j in members if len(places[j])]
@@ -171,8 +172,7 @@ def fitted(shapes: Shapes, drafts: Array, placed: list[int], known: int = 0) -> 
 
 
 def _among(s: Sightings, role: Indices) -> Sightings:
-    i, j = role[s.i], role[s.j]
-    return s.between(i[(i >= 0) & (j >= 0)], j[(i >= 0) & (j >= 0)], (i >= 0) & (j >= 0))
+    return s.renumbered(role[s.i], role[s.j], (role[s.i] >= 0) & (role[s.j] >= 0))
 
 
 def _differ(a: Array, b: Array, covariance: Array) -> bool:
