@@ -209,6 +209,25 @@ class Graph:
         the cost along x += R ξ_xy, θ += ξ_θ.
         """
 
+def find_places(
+    graph: Graph,
+    spread: Graph,
+    anchors: ArrayLike,
+    annuli: ArrayLike,
+    warm: ArrayLike,
+    pi: ArrayLike,
+    limit: int,
+) -> tuple[_Array, _Array, _Array]:
+    """Where pose 1 of ``graph`` may stand relative to pose 0, which is fixed at the origin. METHOD §4.
+
+    Particles on the rings of the anchors, in the region where the annuli meet, weighted by ``spread`` (the same graph
+    with the grid's width in its σ), the best and most diverse fitted, modes within Mahalanobis distance 3 merged.
+    anchors: (A, 8) of point on 0 and on 1 (2 each), distance [m], its relative σ, jitter of the grid's bearings and
+    headings in [0, 1). annuli: (R, 7) of point on 0 and on 1 (2 each), height, least and largest distance [m].
+    warm: (W, 3) places fitted besides. pi: (3,) information of a weak prior. limit: of the modes.
+    Returns poses (k, 3), log masses (k,) best first, covariances (k, 3, 3) of right perturbations.
+    """
+
 def chain(start: ArrayLike, deltas: ArrayLike) -> _Array:
     """start, start·δ₁, start·δ₁·δ₂ …: (3,) and (K, 3) to (K+1, 3)."""
 

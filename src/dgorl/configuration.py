@@ -18,6 +18,7 @@ import yaml
 from dgorl.errors import ConfigurationError
 
 Kernel = Literal["none", "huber", "cauchy", "huber_negative", "cauchy_negative"]
+Solver = Literal["native", "g2o", "gtsam"]
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,20 @@ class Status:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """Bounds the estimate keeps, at every keyframe (METHOD §5); null: no bound."""
+
+    diameter: float | None = None
+    """no two robots are farther apart [m]"""
+    speed: float | None = None
+    """no robot moves faster, from one keyframe to the next [m/s]"""
+    disc: tuple[float, float, float] | None = None
+    """[x, y, radius] in the world's frame [m]: robots stay in it; where starts are known"""
+    box: tuple[float, float, float, float] | None = None
+    """[x_min, y_min, x_max, y_max] in the world's frame [m]: robots stay in it; where starts are known"""
+
+
+@dataclass(frozen=True)
 class Configuration:
     """Everything a Localizer can be told."""
 
@@ -134,15 +149,18 @@ class Configuration:
     """measurements later than this are too late [s]"""
     period: float = 0.5
     """time between two ticks [s]"""
+    candidates: int = 5
+    """k: places tried for each robot when candidate graphs are formed"""
     seed: int = 0
     """of everything that is drawn by chance"""
-    solver: Literal["native"] = "native"
-    """what optimises the graph"""
+    solver: Solver = "native"
+    """what optimises the graph: the C++ core; g2o and gtsam find the same optimum, slowly, for comparison"""
     motion: Motion = field(default_factory=Motion)
     radio: Radio = field(default_factory=Radio)
     ranging: Ranging = field(default_factory=Ranging)
     bearings: Bearings = field(default_factory=Bearings)
     status: Status = field(default_factory=Status)
+    limits: Limits = field(default_factory=Limits)
     antennas: Mapping[str, tuple[float, float, float]] = field(default_factory=lambda: MappingProxyType({}))
     """robot: [x, y, z] of its antenna in its body frame [m]; `default` serves robots not named"""
 
@@ -152,12 +170,18 @@ class Configuration:
             or (self.window >= 5 and float(self.window) % 5 == 0),
             "history must be at least 10 s": self.history >= 10,
             "period must be positive": self.period > 0,
+            "candidates must be at least 1": self.candidates >= 1,
             "radio.path_loss_exponent must be positive": self.radio.path_loss_exponent > 0,
             "radio.sigma_db must be positive": self.radio.sigma_db > 0,
             "radio.reciprocity must be in [0, 1]": 0 <= self.radio.reciprocity <= 1,
             "ranging.sigma must be positive": self.ranging.sigma is None or self.ranging.sigma > 0,
             "bearings.sigma must be positive": self.bearings.sigma is None or self.bearings.sigma > 0,
             "kernel widths must be positive": min(self.radio.width, self.ranging.width, self.bearings.width) > 0,
+            "limits.diameter must be positive": self.limits.diameter is None or self.limits.diameter > 0,
+            "limits.speed must be positive": self.limits.speed is None or self.limits.speed > 0,
+            "limits.disc must have a positive radius": self.limits.disc is None or self.limits.disc[2] > 0,
+            "limits.box must have x_min < x_max, y_min < y_max": self.limits.box is None
+            or (self.limits.box[0] < self.limits.box[2] and self.limits.box[1] < self.limits.box[3]),
             "motion scales must be positive": min(self.motion.linear_scale, self.motion.angular_scale) > 0,
         }
         for what, holds in checks.items():
@@ -236,6 +260,9 @@ def _convert(value: Any, hint: Any, source: str, name: str) -> Any:
     elif origin is Literal:
         if value in get_args(hint):
             return value
+    elif origin is tuple:
+        if isinstance(value, list | tuple) and len(value) == len(get_args(hint)):
+            return tuple(_convert(v, h, source, name) for v, h in zip(value, get_args(hint), strict=True))
     elif hint is type(None):
         if value is None:
             return None
@@ -271,4 +298,6 @@ def _describe(hint: Any) -> str:
         return " or ".join(_describe(option) for option in get_args(hint))
     if origin is Literal:
         return " or ".join(str(option) for option in get_args(hint))
+    if origin is tuple:
+        return f"a list of {len(get_args(hint))} numbers"
     return {float: "a number", bool: "true or false", int: "a whole number", type(None): "null"}.get(hint, "a mapping")

@@ -39,8 +39,8 @@ def small(dgorl: Dgorl, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def results(dgorl: Dgorl, small: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a run of it wrote."""
+    """What a run of it with known starts wrote."""
     out = tmp_path_factory.mktemp("results") / "small"
-    done = dgorl("run", small, "--out", out)
+    done = dgorl("run", small, "--initial", "known", "--out", out)
     assert done.returncode == 0, done.stderr
     return out

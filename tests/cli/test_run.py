@@ -36,7 +36,7 @@ def test_everything_is_written(results: Path) -> None:
 
 
 def test_table_and_summary_agree(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
-    done = dgorl("run", small, "--out", tmp_path)
+    done = dgorl("run", small, "--initial", "known", "--out", tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert summary.keys() >= NAMES
     assert summary["ticks"] == 12
@@ -60,7 +60,7 @@ def test_localises_well_with_ranges_and_bearings(results: Path) -> None:
 
 
 def test_same_log_same_bytes(dgorl: Dgorl, small: Path, results: Path, tmp_path: Path) -> None:
-    assert dgorl("run", small, "--out", tmp_path).returncode == 0
+    assert dgorl("run", small, "--initial", "known", "--out", tmp_path).returncode == 0
     assert files(tmp_path / "relative") == files(results / "relative")
 
 
@@ -109,13 +109,35 @@ def test_order_of_configuration(dgorl: Dgorl, small: Path, tmp_path: Path) -> No
     (log / "team.yaml").write_text(yaml.safe_dump(team), encoding="utf-8")
     settings = tmp_path / "mine.yaml"
     settings.write_text("window: 15\nperiod: 1.0\nradio: {sigma_db: 4.0}\n", encoding="utf-8")
-    done = dgorl("run", log, "--config", settings, "--period", 2, "--seed", 7, "--out", tmp_path / "o", "--json")
-    configuration = json.loads(done.stdout)["configuration"]
+    options = ["--config", settings, "--period", 2, "--seed", 7, "--candidates", 3, "--out", tmp_path / "o", "--json"]
+    configuration = json.loads(dgorl("run", log, *options).stdout)["configuration"]
     assert configuration["radio"]["rssi_at_1m_dbm"] == -41.0
     assert configuration["radio"]["path_loss_exponent"] == 2.5
     assert configuration["radio"]["sigma_db"] == 4.0
     assert (configuration["window"], configuration["period"], configuration["seed"]) == (15.0, 2.0, 7)
-    assert configuration["history"] == 180.0
+    assert (configuration["history"], configuration["candidates"]) == (180.0, 3)
+
+
+def test_starts_are_unknown_unless_said(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
+    """What is not located after twelve steps is said with its reason; no start is used."""
+    done = dgorl("run", small, "--measurements", "rssi", "--out", tmp_path, "--json")
+    summary = json.loads(done.stdout)
+    assert summary["initial"] == "unknown"
+    assert not (tmp_path / "relative/r1/world.csv").exists()
+    seen = summary["egos"]["r1"]["peers"]["r2"]
+    assert seen["status"] not in ("position", "tracked")
+    assert seen["reason"]
+    assert "Not located at the end" in done.stderr
+    assert "r1" in done.stderr
+    assert "No ground truth" not in done.stderr
+
+
+def test_a_rerun_takes_hypotheses_away(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
+    assert dgorl("run", small, "--out", tmp_path, "--ego", "r1").returncode == 0
+    (tmp_path / "hypotheses/r1").mkdir(parents=True, exist_ok=True)
+    (tmp_path / "hypotheses/r1/r9.csv").touch()
+    assert dgorl("run", small, "--out", tmp_path, "--ego", "r1", "--initial", "known").returncode == 0
+    assert not (tmp_path / "hypotheses").exists()
 
 
 def test_window_all(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
@@ -133,14 +155,14 @@ def test_without_truth_the_errors_are_null_and_words_say_so(dgorl: Dgorl, small:
     shutil.copytree(small, log)
     truth = tmp_path / "truth.csv"
     (log / "groundtruth.csv").rename(truth)
-    blind = dgorl("run", log, "--out", tmp_path / "o", "--json")
+    blind = dgorl("run", log, "--initial", "known", "--out", tmp_path / "o", "--json")
     team = json.loads(blind.stdout)["team"]
     assert (team["position_rmse_m"], team["coverage_95"]) == (None, None)
     assert team["tracked_fraction"] > 0
     assert "No ground truth" in blind.stderr
     assert not list((tmp_path / "o").rglob("*.truth.tum"))
     assert (tmp_path / "o/figures/trajectories.png").exists()
-    seen = dgorl("run", log, "--out", tmp_path / "o", "--json", "--truth", truth)
+    seen = dgorl("run", log, "--initial", "known", "--out", tmp_path / "o", "--json", "--truth", truth)
     assert json.loads(seen.stdout)["team"]["position_rmse_m"] is not None
 
 
@@ -150,9 +172,12 @@ def test_dead_reckoning_without_measurements(dgorl: Dgorl, small: Path, tmp_path
     for name in ("rssi", "bearings"):
         (log / f"{name}.csv").unlink()
     (log / "ranges.csv").write_text(NO_RANGES, encoding="utf-8")
-    done = dgorl("run", log, "--out", tmp_path / "o")
-    assert done.returncode == 0, done.stderr
-    assert "dead reckoning" in done.stdout
+    known = dgorl("run", log, "--out", tmp_path / "o", "--initial", "known")
+    assert known.returncode == 0, known.stderr
+    assert "dead reckoning from the starts" in known.stdout
+    unknown = dgorl("run", log, "--out", tmp_path / "o")
+    assert unknown.returncode == 0, unknown.stderr
+    assert "nobody can be located" in unknown.stdout
 
 
 def test_one_robot(dgorl: Dgorl, tmp_path: Path) -> None:
@@ -179,7 +204,7 @@ def test_empty_log(dgorl: Dgorl, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        (["--initial", "unknown"], "unknown starts are not supported yet; use --initial known"),
+        (["--candidates", "0"], "candidates must be at least 1"),
         (["--ego", "r9"], "r9"),
         (["--window", "7"], "command line: window must be a multiple of 5 s"),
         (["--window", "long"], "window must be seconds or all"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dgorl.evaluation.bounds import bound
+from dgorl.measurements import Displacement
 from dgorl.replay import known_starts
 from dgorl.simulation import Scenario
 from tests.integration.teams import settings, simulated
@@ -54,3 +56,57 @@ def test_more_data_lowers_the_bound():
         assert (
             np.trace(covariance[:, :2, :2], axis1=1, axis2=2) < np.trace(without[pair][:, :2, :2], axis1=1, axis2=2)
         ).all()
+
+
+def test_the_bound_of_unknown_starts_is_that_of_starts_known_badly():
+    """No start, the gauge one robot, and starts that say next to nothing, the gauge the world."""
+    log = simulated(robots=4, steps=60)
+    stamps = np.array([10.0, 30.0])
+    unknown = bound(log, settings(log), [], stamps)
+    nothing = (1e6, 0.0, 0.0, 1e6, 0.0, 1e3)
+    vague = bound(log, settings(log), [replace(s, covariance=nothing) for s in known_starts(log)], stamps)
+    known = bound(log, settings(log), list(known_starts(log)), stamps)
+    assert set(unknown) == set(vague) == {(a, b) for a in log.robots for b in log.robots if a != b}
+    for pair, covariance in unknown.items():
+        assert covariance == pytest.approx(vague[pair], rel=2e-3, abs=1e-3)
+        assert (np.linalg.eigvalsh(covariance - known[pair]) > 0).all()
+
+
+def test_the_bound_is_infinite_while_the_data_leaves_a_pose_undetermined():
+    log = simulated(robots=2, steps=60)
+    (series,) = {
+        pair: c for pair, c in bound(log, settings(log), [], np.array([0.5, 30.0])).items() if pair[0] == "r1"
+    }.values()
+    assert np.isnan(series[0]).all()
+    assert np.isfinite(series[1]).all()
+
+
+def test_a_heading_nothing_tells_of_leaves_the_bound_of_the_position():
+    """A robot that stands still: ranges find its place, never its heading."""
+    log = simulated(robots=3, steps=60, sensors=("range",))
+    still = tuple(
+        replace(m, dx=0.0, dtheta=0.0, covariance=(1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6))
+        if isinstance(m, Displacement) and m.robot == "r3"
+        else m
+        for m in log.measurements
+    )
+    stands = np.array(log.truth["r3"])
+    stands[:, 1:] = stands[0, 1:]
+    log = replace(log, measurements=still, truth={**log.truth, "r3": stands})
+    found = bound(log, settings(log), [], np.array([30.0]))
+    assert np.isfinite(found["r1", "r3"][0, :2, :2]).all()
+    assert np.isnan(found["r1", "r3"][0, 2]).all()
+    assert np.isfinite(found["r1", "r2"]).all()
+
+
+def test_those_who_never_hear_one_another_have_no_bound():
+    log = simulated(robots=3, steps=20, comm_range=1e-3)
+    assert bound(log, settings(log), [], np.array([10.0])) == {}
+
+
+def test_robust_kernels_do_not_move_the_bound():
+    log = simulated(robots=3, steps=40, sensors=("range",))
+    stamps = np.array([20.0])
+    plain, robust = (bound(log, settings(log, ranging={"kernel": k}), [], stamps) for k in ("none", "cauchy"))
+    for pair, covariance in plain.items():
+        assert (covariance == robust[pair]).all()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dgorl.estimate import Estimate, OptimizedGraph, PeerEstimate, Status
+from dgorl.estimate import Estimate, OptimizedGraph, PeerEstimate, PeerHypothesis, Status
 from dgorl.evaluation import metrics
 from dgorl.evaluation.records import PairRecord, Records, collect, truth_at
 from dgorl.measurements import WORLD
@@ -79,6 +79,7 @@ def test_without_truth_only_status_is_known() -> None:
     r = record([(0, 0, 0)] * 4, [T, T, P, U], truth=np.full((4, 3), np.nan))
     f = metrics.figures([r])
     assert f.pop("tracked_fraction") == 0.75
+    assert f.pop("truth_fraction") == 0.0
     assert set(f.values()) == {None}
 
 
@@ -178,6 +179,24 @@ def test_a_peer_not_heard_of_yet_has_isolated_rows() -> None:
     assert metrics.time_to_track(r) == 0.5
 
 
+def test_the_summary_says_how_it_ended_and_why() -> None:
+    lost = PeerEstimate(None, None, I, 0.0, 12.0, "no odometry from b for 12 s", "restore the link")
+    ticks = [tick(0.5 * k, {"a": {"b": lost}}) for k in range(2)]
+    seen = metrics.summarize(collect(iter(ticks), {}))["egos"]["a"]["peers"]["b"]
+    assert (seen["status"], seen["reason"], seen["resolve_by"]) == ("isolated", lost.reason, lost.resolve_by)
+    assert seen["time_to_track_s"] is None
+
+
+def test_hypotheses_are_kept_by_tick() -> None:
+    places = tuple(PeerHypothesis(p, np.array([x, 0, 0]), np.eye(3)) for p, x in ((0.7, 1.0), (0.3, 2.0)))
+    unsure = PeerEstimate(places[0].pose, np.eye(3), Status.AMBIGUOUS, 0.7, 0.0, hypotheses=places)
+    here = PeerEstimate(np.array([1.0, 0, 0]), np.eye(3), T, 1.0, 0.0)
+    record = collect([tick(0.5 * k, {"a": {"b": seen}}) for k, seen in enumerate((here, unsure))], {}).pairs["a", "b"]
+    assert record.hypotheses == {1: places}
+    assert not record.located[1]
+    assert record.pose[1, 0] == 1.0
+
+
 def test_summary_leaves_the_world_out() -> None:
     here = PeerEstimate(np.array([1.0, 0, 0]), np.eye(3), T, 1.0, 0.0)
     gone = PeerEstimate(None, None, I, 0.0, np.inf, "nothing heard", "come closer")
@@ -188,7 +207,10 @@ def test_summary_leaves_the_world_out() -> None:
     assert summary["ticks"] == 4
     assert list(summary["egos"]) == ["a"]
     assert list(summary["egos"]["a"]["peers"]) == ["b"]
-    assert summary["egos"]["a"]["peers"]["b"]["time_to_track_s"] == 0.5
+    seen = summary["egos"]["a"]["peers"]["b"]
+    assert seen["time_to_track_s"] == 0.5
+    assert (seen["status"], seen["reason"], seen["resolve_by"]) == ("tracked", "", "")
+    assert seen["truth_fraction"] == 0.75
     assert summary["egos"]["a"]["tick_ms"] == pytest.approx({"median": 2.0, "p99": 2.0})
     assert summary["egos"]["a"]["rejected"] == {"too late": 2}
     assert summary["team"]["position_rmse_m"] == 0.0

@@ -12,7 +12,7 @@ import pytest
 
 from dgorl.configuration import Configuration, as_dict
 from dgorl.errors import DgorlError
-from dgorl.estimate import Status
+from dgorl.estimate import PeerHypothesis, Status
 from dgorl.evaluation import output
 from dgorl.evaluation.records import PairRecord, Records
 
@@ -63,6 +63,21 @@ def test_csv_reads_back_to_the_last_bit(record: PairRecord, tmp_path: Path) -> N
         assert [float(rows[k][name]) for name in numbers] == [record.t[k], *record.pose[k], *upper]
         assert float(rows[k]["probability"]) == record.probability[k]
         assert float(rows[k]["age"]) == record.age[k]
+
+
+def test_hypotheses_read_back_by_rank(record: PairRecord, tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(2, 3, 3))
+    alive = tuple(PeerHypothesis(p, rng.normal(size=3), r @ r.T) for p, r in zip((0.6, 0.1 + 0.2), root, strict=True))
+    write(replace(record, hypotheses={1: alive}), tmp_path)
+    text = (tmp_path / "hypotheses/r1/r2.csv").read_text(encoding="utf-8")
+    assert text.splitlines()[0] == "t,rank,probability,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt"
+    rows = np.loadtxt(text.splitlines()[1:], delimiter=",")
+    for rank, (row, hypothesis) in enumerate(zip(rows, alive, strict=True), 1):
+        upper = hypothesis.covariance[np.triu_indices(3)]
+        assert row.tolist() == [record.t[1], rank, hypothesis.probability, *hypothesis.pose, *upper]
+    write(record, tmp_path)
+    assert not (tmp_path / "hypotheses").exists()
 
 
 def test_tum_holds_located_poses_as_quaternions(record: PairRecord, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from tyro.conf import arg
 from dgorl import logs
 from dgorl.cli.parsing import File, Folder, LogArgument, Names, Seconds, Seed, Window
 from dgorl.cli.session import Session, default_folder, report
+from dgorl.configuration import Solver
 from dgorl.errors import ConfigurationError
 
 Kind = Literal["range", "bearing", "rssi"]
@@ -29,16 +30,18 @@ class Options:
     """where results go; earlier ones are replaced (default: out/NAME OF THE LOG)"""
     ego: Names = ()
     """robot whose view is wanted; all when not given"""
-    initial: Literal["known", "unknown"] = "known"
-    """known takes the log's start poses, good to 0.05 m and 1°"""
+    initial: Literal["known", "unknown"] = "unknown"
+    """unknown finds out where everybody is; known takes the log's start poses, good to 0.05 m and 1°"""
     measurements: Annotated[tuple[Kind, ...], arg(help_behavior_hint="")] = ()
     """use these alone; all in the log when not given"""
-    solver: Literal["native"] = "native"
-    """what optimises the graph"""
+    solver: Solver = "native"
+    """what optimises the graph; g2o and gtsam find the same optimum, slowly"""
     window: Window = None
     """length of the window that is optimised, a multiple of 5 s (default: 30)"""
     history: Seconds = None
     """measurements later than this are too late (default: 180)"""
+    candidates: Annotated[int | None, arg(metavar="K", help_behavior_hint="")] = None
+    """places kept in mind for each robot not yet found (default: 5)"""
     period: Seconds = None
     """time between two ticks (default: 0.5)"""
     truth: File = None
@@ -66,7 +69,7 @@ def main(options: Options) -> None:
 def settings(options: Options) -> dict[str, Any]:
     """The settings given on the command line. Raises ConfigurationError for a window that is not a number."""
     changes: dict[str, Any] = {"solver": options.solver}
-    for name in ("history", "period", "seed"):
+    for name in ("history", "candidates", "period", "seed"):
         if getattr(options, name) is not None:
             changes[name] = getattr(options, name)
     if options.window is not None:

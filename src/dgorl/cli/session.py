@@ -67,8 +67,6 @@ def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Pa
     Raises DgorlError; without matplotlib there are no pictures and a hint on ``errors``.
     """
     log, configuration = session.log, session.configuration()
-    if session.initial != "known":
-        raise DgorlError("unknown starts are not supported yet; use --initial known")
     ticks = replay(log, configuration, initial=session.initial, egos=session.egos or None)
     if not len(ticks):
         period = configuration.period

@@ -10,6 +10,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+LOCATED = ("position", "tracked")
+ROWS = 12
+"""of peers that are not located: more are counted, not listed"""
 COLUMNS = ("position\nRMSE [m]", "heading\nRMSE [°]", "located\n[%]", "in 95 %\nellipse [%]", "tick\n[ms]")
 
 
@@ -30,13 +33,36 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
         table.add_section()
         table.add_row("team", *_row(summary["team"], None), style="bold")
     console.print(table)
-    blind = [ego for ego, figures in egos.items() if figures["all_ticks_position_rmse_m"] is None]
+    _show_unlocated(egos, console)
+    blind = [ego for ego, figures in egos.items() if not figures["truth_fraction"]]
     if blind:
         whom = "these ticks" if len(blind) == len(egos) else ", ".join(blind)
         words = f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
         console.print(words, soft_wrap=True, markup=False)
     if not summary["measurements"]:
-        console.print("The log has no measurements between robots: this is dead reckoning from the starts.")
+        what = "this is dead reckoning from the starts" if summary["initial"] == "known" else "nobody can be located"
+        console.print(f"The log has no measurements between robots: {what}.")
+
+
+def _show_unlocated(egos: Mapping[str, Any], console: Console) -> None:
+    """Who is not located at the last tick, why, and what would help."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for ego, figures in egos.items():
+        for peer, seen in figures["peers"].items():
+            if seen.get("status", LOCATED[0]) not in LOCATED:
+                rows.setdefault((ego, seen["status"], seen["reason"], seen["resolve_by"]), []).append(peer)
+    if not rows:
+        return
+    table = Table(box=box.SIMPLE_HEAD, title="Not located at the end", title_justify="left")
+    for name in ("ego", "peers", "status"):
+        table.add_column(name, no_wrap=name != "peers")
+    table.add_column("why", ratio=3)
+    table.add_column("would help", ratio=2)
+    for (ego, status, reason, help_), peers in list(rows.items())[:ROWS]:
+        table.add_row(*(Text(cell) for cell in (ego, ", ".join(peers), status, reason, help_)))
+    console.print(table)
+    if len(rows) > ROWS:
+        console.print(f"… and {len(rows) - ROWS} more rows like these; summary.json has all.")
 
 
 def _row(figures: Mapping[str, Any], tick_ms: float | None) -> list[str]:

@@ -120,7 +120,8 @@ def summarize(records: Records) -> dict[str, Any]:
             **figures(list(peers.values())),
             "rejected": dict(sorted(records.last[ego].rejected.items())) if ego in records.last else {},
             "peers": {
-                peer: figures([record]) | {"time_to_track_s": time_to_track(record)} for peer, record in peers.items()
+                peer: figures([record]) | {"time_to_track_s": time_to_track(record)} | _at_the_end(record)
+                for peer, record in peers.items()
             },
         }
     return {"ticks": len(records.stamps), "team": figures(records.between_robots()), "egos": egos}
@@ -143,7 +144,15 @@ def figures(records: Sequence[PairRecord]) -> dict[str, float | None]:
         "coverage_95": _mean(_pool(records, position_nees, _located) <= CHI2_95_2DOF),
         "nees_mean": _mean(consistency),
         "nees_median": _median(consistency),
+        "truth_fraction": _mean(np.isfinite([place for r in records for place in r.truth[:, 0]])),
     }
+
+
+def _at_the_end(record: PairRecord) -> dict[str, str]:
+    """Status at the last tick, why it is no better and what would help."""
+    if not len(record.t):
+        return {}
+    return {"status": str(record.status[-1]), "reason": record.reason[-1], "resolve_by": record.resolve_by[-1]}
 
 
 def _pool(

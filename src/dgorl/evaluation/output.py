@@ -24,25 +24,30 @@ from dgorl.evaluation.records import PairRecord, Records
 from dgorl.se2 import Array
 
 HEADER = "t,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt,status,probability,age,reason,resolve_by"
+HYPOTHESES_HEADER = "t,rank,probability,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt"
 _UPPER = np.triu_indices(3)
 
 
 def write(records: Records, configuration: Configuration, about: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Write summary.json and ``relative/`` into ``directory``, over an earlier run's; returns the summary.
+    """Write summary.json, ``relative/`` and ``hypotheses/`` into ``directory``, over an earlier run's.
+
+    Returns the summary.
 
     about: what the summary says of the run itself: log, robots, initial, measurements, solver, ...
     Raises DgorlError when the folder cannot be used.
     """
     prepare(directory)
     for (ego, peer), record in records.pairs.items():
-        folder = directory / "relative" / _filename(ego)
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = _folder(directory / "relative" / _filename(ego))
         name = _filename(peer)
         _write(folder / f"{name}.csv", csv_lines(record))
         _write(folder / f"{name}.tum", tum_lines(record.t[record.located], record.pose[record.located]))
         known = np.isfinite(record.truth).all(axis=1)
         if known.any():
             _write(folder / f"{name}.truth.tum", tum_lines(record.t[known], record.truth[known]))
+        if record.hypotheses:
+            folder = _folder(directory / "hypotheses" / _filename(ego))
+            _write(folder / f"{name}.csv", hypotheses_lines(record))
     summary = {
         **about,
         **summarize(records),
@@ -70,10 +75,10 @@ def prepare(directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     if not (directory / "summary.json").is_file():
         return
-    for pattern in ("relative/*/*.csv", "relative/*/*.tum", "figures/*.png"):
+    for pattern in ("relative/*/*.csv", "relative/*/*.tum", "hypotheses/*/*.csv", "figures/*.png"):
         for file in directory.glob(pattern):
             file.unlink()
-    for folder in directory.glob("relative/*"):
+    for folder in (*directory.glob("relative/*"), *directory.glob("hypotheses/*"), directory / "hypotheses"):
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     (directory / "summary.json").unlink()
@@ -87,6 +92,15 @@ def csv_lines(record: PairRecord) -> Iterator[str]:
         fields = [_number(t), *("" if np.isnan(value) else _number(value) for value in numbers)]
         fields += [str(record.status[k]), _number(record.probability[k]), _number(record.age[k])]
         yield ",".join([*fields, _quote(record.reason[k]), _quote(record.resolve_by[k])])
+
+
+def hypotheses_lines(record: PairRecord) -> Iterator[str]:
+    """The rows of ``hypotheses/EGO/PEER.csv``: where an ambiguous peer may be, rank 1 the most probable."""
+    yield HYPOTHESES_HEADER
+    for k, alive in sorted(record.hypotheses.items()):
+        for rank, hypothesis in enumerate(alive, 1):
+            numbers = [hypothesis.probability, *hypothesis.pose, *hypothesis.covariance[_UPPER]]
+            yield ",".join([_number(record.t[k]), str(rank), *map(_number, numbers)])
 
 
 def tum_lines(t: Array, pose: Array) -> Iterator[str]:
@@ -104,6 +118,11 @@ def peak_rss_mb() -> float | None:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def _write(path: Path, lines: Any) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dgorl.estimate import Estimate, PeerEstimate, Status
+from dgorl.estimate import Estimate, PeerEstimate, PeerHypothesis, Status
 from dgorl.measurements import WORLD
 from dgorl.replay import Tick
 from dgorl.se2 import Array, between, wrap
@@ -26,7 +26,8 @@ class PairRecord:
 
     t (T,) [s]; pose (T, 3) of the peer in the ego's body frame [m, m, rad], NaN where there is none;
     covariance (T, 3, 3) of it, in the ego's frame; probability (T,); age (T,) [s]; truth (T, 3) the true
-    pose, NaN where unknown.
+    pose, NaN where unknown; hypotheses: row → all that were alive at that tick, most probable first; rows without
+    any are left out.
     """
 
     ego: str
@@ -40,6 +41,7 @@ class PairRecord:
     reason: tuple[str, ...]
     resolve_by: tuple[str, ...]
     truth: Array
+    hypotheses: Mapping[int, tuple[PeerHypothesis, ...]] = field(default_factory=dict)
 
     @property
     def located(self) -> NDArray[np.bool_]:
@@ -140,4 +142,5 @@ def _record(ego: str, peer: str, t: Array, seen: Sequence[PeerEstimate], truth: 
         reason=tuple(e.reason for e in seen),
         resolve_by=tuple(e.resolve_by for e in seen),
         truth=between(truth_at(truth, ego, t), truth_at(truth, peer, t)),
+        hypotheses={k: e.hypotheses for k, e in enumerate(seen) if e.hypotheses},
     )

@@ -45,9 +45,14 @@ class Optima:
     relative: Array
     covariance: Array
 
+    @property
+    def fields(self) -> tuple[Array, ...]:
+        """All arrays."""
+        return self.poses, self.cost, self.mass, self.relative, self.covariance
+
     def __getitem__(self, rows: Sequence[int]) -> Optima:
-        pick = list(rows)
-        return Optima(self.poses[pick], self.cost[pick], self.mass[pick], self.relative[pick], self.covariance[pick])
+        pick = np.array(rows, dtype=np.int64)
+        return Optima(*(field[pick] for field in self.fields))
 
 
 @dataclass(frozen=True)

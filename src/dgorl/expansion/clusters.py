@@ -11,13 +11,15 @@ import numpy as np
 from dgorl import se2
 from dgorl.expansion import drafts
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
+from dgorl.expansion.decimated import Decimated, decimated
 from dgorl.expansion.hypotheses import (
-    BEAM,
     CERTAIN,
     Cluster,
     Hypothesis,
     agreement,
+    both,
     distinct,
+    fresh,
     groups_of,
     probabilities,
 )
@@ -36,11 +38,11 @@ ENOUGH = 4
 RECENT = 20
 """Keyframes of a hypothesis that ticks optimise; what came before is a prior to them."""
 
-STARTS = 10
-"""Candidate graphs that are fully optimised at a time."""
+DRAFTS, STARTS = 40, 4
+"""Candidate graphs that are optimised coarsely, and wholly, at a time."""
 
-RESEEDED = 1
-"""Hypotheses whose bodies are placed anew at every node."""
+WARM = 8
+"""Warm particles of the best hypothesis."""
 
 Group = tuple[TrackKey, ...]
 
@@ -151,22 +153,35 @@ def _expanded(step: Step, before: Cluster | None, components: Sequence[Component
     union = unions[0] if unions else _union(added)
     union = Component(union.stretches, union.priors, internal_links(step, union, base / KEYFRAMES_PER_SECOND))
     graph = cluster_graph(history, union, groups, base, g)
-    noise, k = graph.drift(), history.configuration.candidates
+    k = history.configuration.candidates
+    shapes = drafts.shapes_of(graph, graph.start(_rigid(union, added)), graph.drift(), step.seed)
+    coarse = decimated(graph, shapes.poses)
+    optima = None
     if unions:
-        fresh = [j for j, c in enumerate(added) if not c.stretches.keys() & known[0].stretches.keys()]
-        starts = np.stack([graph.start(union) for union in unions])
-        if fresh:
-            starts = _with_new(step, graph, starts, fresh, k)
-        optima = distinct(graph.optimize(starts))
-    if True:
-        rigid = Component({**union.stretches, **{key: c.stretches[key] for c in added if len(c.stretches) == 1 for key in c.stretches}})
-        shapes = drafts.shapes_of(graph, graph.start(rigid), noise, step.seed)
-        fresh_starts = shapes.starts(drafts.cold(shapes, k)[:STARTS])
-        found = graph.optimize(fresh_starts)
-        optima = distinct(_both(optima, found) if unions else found)
-    if True:
-        optima = _reseeded(step, graph, optima)
+        starts = np.stack([graph.start(u) for u in unions])
+        new = [j for j, c in enumerate(added) if not c.stretches.keys() & known[0].stretches.keys()]
+        optima = distinct(graph.optimize(_with_new(step, graph, starts, new, k) if new else starts))
+    optima = _searched(graph, coarse, optima, shapes.starts(drafts.cold(shapes, k)))
+    for _ in range(1 if unions else 2):
+        near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
+        places = np.concatenate([drafts.reseeded(near), drafts.warm(near, optima[[0]], WARM)])
+        optima = _searched(graph, coarse, optima, near.starts(places))
     return _cluster(step, graph, optima, union, base)
+
+
+def _rigid(union: Component, added: Sequence[Component]) -> Component:
+    """Single tracks as odometry has them, joined components as a hypothesis does."""
+    singles = {key: s for c in added if len(c.stretches) == 1 for key, s in c.stretches.items()}
+    return Component({**union.stretches, **singles})
+
+
+def _searched(graph: ClusterGraph, coarse: Decimated, optima: Optima | None, starts: Array) -> Optima:
+    """The best of the optima and of what candidate graphs lead to: coarsely all of them, wholly the few best."""
+    found = coarse.optimize(starts[:DRAFTS])
+    if optima is None:
+        return distinct(graph.optimize(coarse.whole(distinct(found, STARTS).poses)))
+    new = fresh(coarse.optimize(optima.poses), found, STARTS)
+    return distinct(both(optima, graph.optimize(coarse.whole(new.poses)))) if len(new.mass) else optima
 
 
 def _with_new(step: Step, graph: ClusterGraph, starts: Array, fresh: list[int], k: int) -> Array:
@@ -178,28 +193,6 @@ def _with_new(step: Step, graph: ClusterGraph, starts: Array, fresh: list[int], 
         found = drafts.complete(shapes, np.zeros((1, shapes.size, 3)), placed, k)
         grown.append(shapes.starts(found))
     return np.concatenate(grown)[: 2 * STARTS]
-
-
-def _reseeded(step: Step, graph: ClusterGraph, optima: Optima) -> Optima:
-    """The best of the optima and of what re-seeding one body at a time of the best hypotheses leads to."""
-    noise = graph.drift()
-    starts = []
-    for poses in optima.poses[:RESEEDED]:
-        shapes = drafts.shapes_of(graph, poses, noise, step.seed)
-        starts.append(shapes.starts(drafts.reseeded(shapes)[:STARTS]))
-    more = np.concatenate(starts)
-    if not len(more):
-        return optima
-    found = graph.optimize(more)
-    return distinct(_both(optima, found))
-
-
-def _both(a: Optima, b: Optima) -> Optima:
-    return Optima(*(np.concatenate(pair) for pair in zip(_fields(a), _fields(b), strict=True)))
-
-
-def _fields(optima: Optima) -> tuple[Array, ...]:
-    return optima.poses, optima.cost, optima.mass, optima.relative, optima.covariance
 
 
 def _cluster(step: Step, graph: ClusterGraph, optima: Optima, union: Component, base: int) -> Cluster:

@@ -16,13 +16,13 @@ import numpy as np
 from dgorl import _core, se2
 from dgorl.expansion.bodies import Drift, Sightings, body_graph
 from dgorl.expansion.candidates import Candidates, candidates
-from dgorl.expansion.cluster_graph import ClusterGraph
+from dgorl.expansion.cluster_graph import ClusterGraph, Optima
 from dgorl.expansion.compatibility import compatibility
 from dgorl.expansion.search import best_graphs
 from dgorl.optimization.problem import Indices
 from dgorl.se2 import Array
 
-GRAPHS = 20
+GRAPHS = 60
 """Candidate graphs that A* hands over to be fitted coarsely."""
 
 MODES = 4
@@ -68,7 +68,7 @@ def shapes_of(cluster: ClusterGraph, poses: Array, noise: Drift, seed: tuple[int
 
 
 def cold(shapes: Shapes, k: int) -> Array:
-    """Drafts (B, m, 3) from nothing, best first."""
+    """Drafts (B, m, 3) from nothing, best first, without those that lead to the ``known`` ones (K, m, 3)."""
     linked = np.zeros((shapes.size, shapes.size), bool)
     for s in shapes.found:
         linked[s.i, s.j] = linked[s.j, s.i] = True
@@ -142,6 +142,20 @@ def reseeded(shapes: Shapes) -> Array:
                 draft[0] = 0.0
             drafts.append(draft)
     return fitted(shapes, np.array(drafts), list(range(shapes.size)), known=1)
+
+
+def warm(shapes: Shapes, best: Optima, count: int) -> Array:
+    """Drafts (count, m, 3) near a hypothesis, whose shapes these are: drawn from its covariance, twice as wide."""
+    cluster = shapes.cluster
+    rng = np.random.default_rng([*shapes.seed, shapes.size])
+    rows = [int(np.argmax(cluster.body[cluster.newest] == b)) for b in range(shapes.size)]
+    pick = (3 * np.array(rows)[:, None] + np.arange(3)).ravel()
+    values, vectors = np.linalg.eigh(best.covariance[0][np.ix_(pick, pick)])
+    draws = rng.normal(size=(count, len(pick))) * 2.0 * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    newest = best.poses[0][cluster.newest[rows]]
+    moved = se2.compose(newest, draws.reshape(count, shapes.size, 3))
+    at = se2.compose(moved, se2.inverse(newest))
+    return se2.between(at[:, :1], at)
 
 
 def fitted(shapes: Shapes, drafts: Array, placed: list[int], known: int = 0) -> Array:

@@ -60,22 +60,38 @@ class Cluster:
 
 def distinct(optima: Optima, limit: int = BEAM) -> Optima:
     """The optima worth keeping, best first: at most ``limit``, none twice, none hopeless."""
+    return optima[_apart(optima, 0, limit)]
+
+
+def fresh(known: Optima, found: Optima, limit: int) -> Optima:
+    """Those of ``found`` that are none of the ``known``, best first, at most ``limit``, none twice, none hopeless."""
+    count = len(known.mass)
+    return found[[b - count for b in _apart(both(known, found), count, limit)]]
+
+
+def both(a: Optima, b: Optima) -> Optima:
+    """All optima of both."""
+    return Optima(*(np.concatenate(pair) for pair in zip(a.fields, b.fields, strict=True)))
+
+
+def _apart(optima: Optima, known: int, limit: int) -> list[int]:
+    """Indices from ``known`` on, best first, of optima nearer than Mahalanobis distance 3 to none better or known."""
+    order = np.argsort(-optima.mass[known:], kind="stable") + known
+    order = order[optima.mass[order] >= optima.mass.max() - ALIVE]
+    order = np.concatenate([np.arange(known), order])
     keep: list[int] = []
-    for b in np.argsort(-optima.mass, kind="stable").tolist():
-        if len(keep) == limit or not np.isfinite(optima.mass[b]):
-            break
-        if keep and optima.mass[b] < optima.mass[keep[0]] - ALIVE:
-            break
-        if all(_distance(optima, a, b) > SAME for a in keep):
+    taken = np.zeros(len(order), bool)
+    for row, b in enumerate(order.tolist()):
+        if taken[row] and b >= known:
+            continue
+        if b >= known:
+            if len(keep) == limit:
+                break
             keep.append(b)
-    return optima[keep]
-
-
-def _distance(optima: Optima, a: int, b: int) -> float:
-    """Mahalanobis distance of two optima under the first one's H + Π."""
-    difference = se2.between(optima.relative[a, 1:], optima.relative[b, 1:]).ravel()
-    covariance = optima.covariance[a][3:, 3:]
-    return float(np.sqrt(max(difference @ np.linalg.solve(covariance, difference), 0.0)))
+        apart = se2.between(optima.relative[b, 1:], optima.relative[order[row:], 1:]).reshape(len(order) - row, -1)
+        information = np.linalg.inv(optima.covariance[b][3:, 3:])
+        taken[row:] |= np.einsum("bi,ij,bj->b", apart, information, apart) <= SAME**2
+    return keep
 
 
 def probabilities(mass: Array) -> Array:

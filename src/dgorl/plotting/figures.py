@@ -6,6 +6,7 @@ from pathlib import Path
 
 from dgorl.evaluation.records import Records
 from dgorl.plotting.errors import plot_errors
+from dgorl.plotting.notes import notes
 from dgorl.plotting.trajectories import plot_trajectories
 
 
@@ -18,5 +19,5 @@ def write_figures(records: Records, directory: Path) -> list[Path]:
     plot_trajectories(records, paths[0])
     for ego in records.egos:
         paths.append(directory / f"error_{ego}.png")
-        plot_errors(ego, records.of(ego), paths[-1])
+        plot_errors(ego, records.of(ego), paths[-1], notes(ego, records.last[ego]))
     return [path for path in paths if path.exists()]

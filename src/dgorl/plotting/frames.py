@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dgorl.estimate import Status
 from dgorl.evaluation.records import Records, truth_at
 from dgorl.measurements import WORLD
 from dgorl.plotting.style import GREY
@@ -24,14 +26,17 @@ LONGEST = 120.0
 class TeamView:
     """One ego's estimates in one frame at ``t`` (T,), and the truth there.
 
-    ego_pose: T_frame_ego (T, 3). estimates, truth: robot → (T, 3), NaN where unknown. note: the frame, in
-    words. labels: of the axes. start: stamp of the replay's first tick [s].
+    ego_pose: T_frame_ego (T, 3). estimates, truth: robot → (T, 3), NaN where unknown. located: robot → (T,) bool.
+    guesses: robot → (T, 3), the best hypothesis while it is ambiguous, which ``estimates`` leave out. note: the
+    frame, in words. labels: of the axes. start: stamp of the replay's first tick [s].
     """
 
     ego: str
     t: Array
     ego_pose: Array
     estimates: Mapping[str, Array]
+    located: Mapping[str, NDArray[np.bool_]]
+    guesses: Mapping[str, Array]
     truth: Mapping[str, Array]
     note: str
     labels: tuple[str, str]
@@ -49,7 +54,9 @@ def team_view(records: Records, ego: str) -> TeamView:
     peers = records.of(ego)
     robots = [robot for robot in sorted({ego, *peers}) if robot in records.truth]
     truth = {robot: truth_at(records.truth, robot, t) for robot in robots}
-    seen = {peer: record.pose[late] for peer, record in peers.items()}
+    unsure = {peer: record.having(Status.AMBIGUOUS)[late] for peer, record in peers.items()}
+    seen = {peer: np.where(unsure[peer][:, None], np.nan, record.pose[late]) for peer, record in peers.items()}
+    guessed = {peer: np.where(unsure[peer][:, None], record.pose[late], np.nan) for peer, record in peers.items()}
     world = records.pairs.get((ego, WORLD))
     labels = "x [m]", "y [m]"
     if world is not None and np.isfinite(world.pose).any():
@@ -63,7 +70,10 @@ def team_view(records: Records, ego: str) -> TeamView:
         note, known = f"peers in the moving frame of {ego}", {ego: ego_pose}
         labels = f"forward of {ego} [m]", f"left of {ego} [m]"
     estimates = known | {peer: compose(ego_pose, pose) for peer, pose in seen.items()}
-    return TeamView(ego, t, ego_pose, estimates, truth, note, labels, float(stamps[0]))
+    guesses = {peer: compose(ego_pose, pose) for peer, pose in guessed.items()}
+    located = {peer: record.located[late] for peer, record in peers.items()}
+    located[ego] = np.ones(len(t), dtype=bool)
+    return TeamView(ego, t, ego_pose, estimates, located, guesses, truth, note, labels, float(stamps[0]))
 
 
 def decorate(axes: Axes, view: TeamView, title: str) -> None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgorl.estimate import Edge, Estimate
-from dgorl.evaluation.metrics import CHI2_95_2DOF
 from dgorl.measurements import WORLD
 from dgorl.plotting.frames import TeamView, decorate
+from dgorl.plotting.hypotheses import draw_ellipse, draw_hypotheses, named
 from dgorl.plotting.labels import write_names
 from dgorl.plotting.style import GREY
 from dgorl.se2 import Array, compose, rotation
@@ -22,12 +22,14 @@ KINDS = {"rssi": "-", "range": (0, (5, 1.5)), "bearing": (0, (1, 1.3)), "pose": 
 """line style of each kind of measurement"""
 WORST = 3.0
 """residuals from here on have the last colour [σ]"""
+CROWD = 6
+"""more ambiguous peers are written without their probabilities"""
 SPACING = 0.04
 """between the edges of one pair [inches]"""
 
 
 def draw_graph(figure: Figure, axes: Axes, estimate: Estimate, view: TeamView, colors: dict[str, str]) -> None:
-    """Robots with heading and 95 % ellipse; edges styled by kind, coloured by residual."""
+    """Robots with heading and 95 % ellipse; edges styled by kind, coloured by residual; hypotheses hollow."""
     decorate(axes, view, f"Optimised graph after {estimate.stamp - view.start:.1f} s")
     T_view_ego = view.ego_pose[-1]
     if not np.isfinite(T_view_ego).all():
@@ -35,34 +37,45 @@ def draw_graph(figure: Figure, axes: Axes, estimate: Estimate, view: TeamView, c
         axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center")
         return
     graph = estimate.graph
-    poses = {robot: compose(T_view_ego, pose) for robot, pose in graph.poses.items() if robot != WORLD}
+    unsure = {peer for peer, seen in estimate.items() if seen.hypotheses}
+    poses = {robot: compose(T_view_ego, pose) for robot, pose in graph.poses.items() if robot not in (WORLD, *unsure)}
     edges = [edge for edge in graph.edges if edge.a in poses and edge.b in poses]
+    guesses = [compose(T_view_ego, h.pose)[:2] for peer in sorted(unsure) for h in estimate[peer].hypotheses]
+    places = {robot: pose[:2] for robot, pose in poses.items()}
+    size = 0.05 * float(np.ptp([*places.values(), *guesses], axis=0).max()) or 1.0
     _draw_edges(figure, axes, edges, poses)
-    size = 0.05 * max((float(np.ptp([p[k] for p in poses.values()])) for k in (0, 1)), default=1.0) or 1.0
+    _legend(axes, edges, len(poses) > 1, len(guesses) > 0)
+    _draw_robots(axes, estimate, T_view_ego, poses, size, colors)
+    words = {robot: robot for robot in places}
+    for peer, place in draw_hypotheses(axes, estimate, T_view_ego, size, colors).items():
+        places[peer], words[peer] = place, named(peer, estimate[peer].hypotheses, brief=len(unsure) > CROWD)
     share = np.linspace(0, 1, 15)[:, None]
     drawn = [(1 - share) * poses[edge.a][:2] + share * poses[edge.b][:2] for edge in edges]
-    for robot, pose in poses.items():
-        color = colors[robot]
-        tip = pose[:2] + size * np.array([np.cos(pose[2]), np.sin(pose[2])])
-        axes.plot(*zip(pose[:2], tip, strict=True), color=color, lw=2.0, zorder=5)
-        axes.plot(pose[0], pose[1], "o", ms=8, color=color, mec="white", mew=1.0, zorder=5)
-        drawn.append(tip[None])
-        seen = estimate.peers.get(robot)
-        if seen is not None and seen.covariance is not None:
-            _draw_ellipse(axes, pose, rotation(T_view_ego[2]), seen.covariance[:2, :2], color)
-    places = {robot: pose[:2] for robot, pose in poses.items()}
-    write_names(axes, places, colors, np.concatenate(drawn))
+    drawn += [pose[:2] + size * rotation(pose[2])[:, 0] for pose in poses.values()]
+    write_names(axes, places, colors, np.vstack([*drawn, *guesses]), words)
     axes.annotate(
         f"ellipses: 95 %, relative to {estimate.robot}", (1, 1), (0, 5), "axes fraction", "offset points",
         fontsize=8, color=GREY, ha="right",
     )  # fmt: skip
 
 
+def _draw_robots(
+    axes: Axes, estimate: Estimate, T_view_ego: Array, poses: dict[str, Array], size: float, colors: dict[str, str]
+) -> None:
+    for robot, pose in poses.items():
+        color = colors[robot]
+        tip = pose[:2] + size * rotation(pose[2])[:, 0]
+        axes.plot(*zip(pose[:2], tip, strict=True), color=color, lw=2.0, zorder=5)
+        axes.plot(pose[0], pose[1], "o", ms=8, color=color, mec="white", mew=1.0, zorder=5)
+        seen = estimate.peers.get(robot)
+        if seen is not None and seen.covariance is not None:
+            draw_ellipse(axes, pose, rotation(T_view_ego[2]), seen.covariance[:2, :2], color)
+
+
 def _draw_edges(figure: Figure, axes: Axes, edges: list[Edge], poses: dict[str, Array]) -> None:
     """Edges of one pair run side by side, one for each kind."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.lines import Line2D
     from matplotlib.transforms import ScaledTranslation
 
     ramp = LinearSegmentedColormap.from_list("residual", ["#A9BCC9", "#E69F00", "#8C1C13"])
@@ -80,19 +93,18 @@ def _draw_edges(figure: Figure, axes: Axes, edges: list[Edge], poses: dict[str, 
         bar = figure.colorbar(scale, ax=axes, extend="max", shrink=0.75, pad=0.02)
         bar.set_label("residual of the edge [σ]")
         bar.outline.set_linewidth(0.0)
+
+
+def _legend(axes: Axes, edges: list[Edge], joined: bool, guessed: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    kinds = [kind for kind in KINDS if any(edge.kind == kind for edge in edges)]
     handles = [Line2D([], [], color=GREY, lw=1.6, ls=KINDS[kind], label=kind) for kind in kinds]
+    if guessed:
+        label = "place a peer may be at" + ("" if joined else "; no peer is joined yet")
+        handles.append(Line2D([], [], color=GREY, marker="o", ms=7, mfc="white", mew=1.6, ls="", label=label))
     if handles:
-        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4, handlelength=3.0)
+        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=5, handlelength=2.6)
     else:
-        axes.annotate("no measurement between robots in the last 5 s", (0.5, -0.16), xycoords="axes fraction",
-                      ha="center", color=GREY)  # fmt: skip
-
-
-def _draw_ellipse(axes: Axes, pose: Array, turn: Array, covariance: Array, color: str) -> None:
-    """The 95 % ellipse of a covariance (2, 2) in the ego's frame; ``turn`` maps that into the picture's."""
-    angle = np.linspace(0, 2 * np.pi, 73)
-    values, vectors = np.linalg.eigh(turn @ covariance @ turn.T)
-    half = np.sqrt(CHI2_95_2DOF * np.clip(values, 0, None))
-    x, y = pose[:2, None] + vectors @ (half[:, None] * np.array([np.cos(angle), np.sin(angle)]))
-    axes.fill(x, y, facecolor=color, alpha=0.15, zorder=3)
-    axes.plot(x, y, color=color, lw=0.9, alpha=0.8, zorder=3)
+        what = "no measurement between robots in the last 5 s" if joined else "no peer has a place in the graph"
+        axes.annotate(what, (0.5, -0.16), xycoords="axes fraction", ha="center", color=GREY)

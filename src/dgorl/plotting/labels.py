@@ -17,11 +17,21 @@ _AWAY = 13.0
 _SHARE = 0.06
 """about the same as a share of the picture's side"""
 
+_SHORT = 6
+"""letters; longer words begin or end beside the robot"""
 
-def write_names(axes: Axes, places: Mapping[str, Array], colors: Mapping[str, str], obstacles: Array) -> None:
+
+def write_names(
+    axes: Axes,
+    places: Mapping[str, Array],
+    colors: Mapping[str, str],
+    obstacles: Array,
+    words: Mapping[str, str] | None = None,
+) -> None:
     """Write each robot's name beside its place (2,), in the emptiest of eight directions.
 
-    obstacles: (N, 2) points of what is drawn; robots and names written before count as well.
+    obstacles: (N, 2) points of what is drawn; robots and names written before count as well. words: in place of
+    the name.
     """
     from matplotlib.patheffects import withStroke
 
@@ -38,11 +48,11 @@ def write_names(axes: Axes, places: Mapping[str, Array], colors: Mapping[str, st
         taken = np.vstack([taken, middles[best]])
         dx, dy = _AWAY * directions[best]
         axes.annotate(
-            robot,
+            word := (words or {}).get(robot, robot),
             (place[0], place[1]),
             (dx, dy),
             textcoords="offset points",
-            ha="center",
+            ha="center" if len(word) <= _SHORT else "left" if dx > 0 else "right",
             va="center",
             color=colors[robot],
             fontweight="bold",

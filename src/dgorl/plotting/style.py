@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 ROBOTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7A4E2D", "#5A5A5A")
 """Okabe and Ito's palette without its yellow, then brown and grey; larger teams repeat colours, not labels"""
 STATUSES = {
-    Status.ISOLATED: "#BDBDBD",
-    Status.AMBIGUOUS: "#D9B8E8",
-    Status.UNOBSERVABLE: "#F7CFA5",
-    Status.POSITION: "#CFE6F5",
-    Status.TRACKED: "#FFFFFF",
+    Status.ISOLATED: "#8A8A8A",
+    Status.AMBIGUOUS: "#A05CB5",
+    Status.UNOBSERVABLE: "#E69F00",
+    Status.POSITION: "#56B4E9",
+    Status.TRACKED: "#009E73",
 }
 GREY = "#6B6B6B"
 TRUTH = "#B8B8B8"
