@@ -172,6 +172,7 @@ nb::object chain_poses(nb::handle start, nb::handle deltas) {
 }  // namespace
 
 void bind_adders(nb::class_<Graph>& graph);
+void bind_places(nb::module_& m);
 void bind_tracks(nb::module_& m);
 
 void bind(nb::module_& m) {
@@ -209,6 +210,7 @@ void bind(nb::module_& m) {
       .def("marginalize", &marginalize_slots, "poses"_a, "slot"_a)
       .def("gauss_newton_step", &gauss_newton_step, "poses"_a)
       .def("hessian", &hessian, "poses"_a, "exact"_a = false);
+  bind_places(m);
   bind_tracks(m);
   m.def("chain", &chain_poses, "start"_a, "deltas"_a);
 }

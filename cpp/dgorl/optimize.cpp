@@ -10,19 +10,23 @@ namespace dgorl {
 namespace {
 
 constexpr double kRounding = 1e-13;      // relative cost increase that is not one
-constexpr double kNegligible = 1e-6;     // damping below this is dropped: the last steps are Newton's
-constexpr double kSmallestRaise = 1e-6;  // where damping starts again after it was dropped
+constexpr double kNegligible = 1e-9;     // damping below this is dropped: the last steps are Newton's
+constexpr double kSmallestRaise = 1e-8;  // where damping starts again after it was dropped
 constexpr double kGaugeDamping = 1e-8;   // enough to make a graph without a gauge regular
 constexpr double kLargestDamping = 1e12;
+constexpr double kAsPromised = 0.1;  // a gain this near to 1 needs no damping
+constexpr int kNewtonTries = 3;  // with more damping, before Gauss-Newton takes over
 constexpr double kSafety = 1e-3;
-constexpr double kClose = 0.1;  // a Gauss-Newton step below this [m, rad] lets Newton try again
+constexpr double kClose = 5.0;  // a Gauss-Newton step below this [m, rad] lets Newton try again
 
 // The paper's damping rule: a smaller error lowers lambda, a larger one raises it, ever faster.
 struct Damping {
   double value, growth = 4.0, floor = 0.0;
 
-  void lower() {
-    value = value * 0.1 < kNegligible ? floor : value * 0.1;
+  // gain: decrease of the cost in shares of what the linearisation promised.
+  void accept(double gain) {
+    value *= gain > 0.7 ? 0.1 : gain > 0.3 ? 0.5 : 2.0;
+    if (value < kNegligible || std::abs(gain - 1.0) < kAsPromised) value = floor;
     growth = 4.0;
   }
   void raise() {
@@ -67,7 +71,7 @@ double Optimizer::apply(const std::vector<Pose>& from, std::vector<Pose>& to) co
   const Layout& layout = graph_.layout();
   for (int k = 0; k < layout.poses(); ++k) {
     const int at = layout.start(k);
-    if (at >= 0) to[k] = from[k].retract(-step_[at], -step_[at + 1], -step_[at + 2]);
+    if (at >= 0) to[k] = from[k].exp(-step_[at], -step_[at + 1], -step_[at + 2]);
   }
   return step_.size() ? step_.cwiseAbs().maxCoeff() : 0.0;
 }
@@ -82,6 +86,7 @@ Optimizer::Outcome Optimizer::try_step(std::vector<Pose>& poses, double damping,
   if (cholesky_.factorize(normal_.hessian, damping) >= 0) return Outcome::kSingular;
   step_ = normal_.gradient;
   cholesky_.solve(step_);
+  promised_ = normal_.gradient.dot(step_);
   const double before = length_;
   length_ = apply(poses, trial_);
   if (length_ < options.step_tolerance) return Outcome::kShort;
@@ -112,10 +117,12 @@ Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
   length_ = 0.0;
   bool solved = false;         // at least once
   bool full_rejected = false;  // the least damped step from here
+  int newton_failed = 0;
   result.reason = Reason::kFailed;
   if (!std::isfinite(normal_.cost)) return result;
   while (result.iterations < options.max_iterations && damping.value <= kLargestDamping) {
     ++result.iterations;
+    const double before = normal_.cost;
     const Outcome outcome = try_step(poses, damping.value, options);
     solved = solved || outcome != Outcome::kSingular;
     if (outcome == Outcome::kShort && (damping.value == damping.floor || full_rejected)) {
@@ -127,12 +134,15 @@ Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
     if (outcome == Outcome::kShort) {  // perhaps only because it is damped
       damping.value = damping.floor;
     } else if (outcome == Outcome::kAccepted) {
-      damping.lower();
+      damping.accept((before - normal_.cost) / (0.5 * promised_));
       full_rejected = false;
+      newton_failed = 0;
       if (weighting_ != Weighting::kNewton && length_ < kClose) {
         linearize(poses, Weighting::kNewton);
         length_ = 0.0;
       }
+    } else if (weighting_ == Weighting::kNewton && ++newton_failed < kNewtonTries && damping.value > 0.0) {
+      damping.raise();
     } else if (weighting_ == Weighting::kNewton) {
       linearize(poses, Weighting::kTriggs);
       length_ = 0.0;

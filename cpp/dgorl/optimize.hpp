@@ -48,8 +48,9 @@ class Optimizer {
   Vector step_;
   std::vector<Pose> trial_;
   Weighting weighting_ = Weighting::kNewton;
-  double scale_ = 0.0;   // of the cost at the start
-  double length_ = 0.0;  // of the last step
+  double scale_ = 0.0;     // of the cost at the start
+  double length_ = 0.0;    // of the last step
+  double promised_ = 0.0;  // twice the decrease of the cost that it promised, undamped
 };
 
 }  // namespace dgorl

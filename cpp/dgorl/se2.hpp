@@ -44,6 +44,14 @@ struct Pose {
     return {p.x(), p.y(), wrap(theta + other.theta)};
   }
 
+  // X . Exp(xi): twists that belong to one rigid motion move all poses rigidly, however far.
+  Pose exp(double xi_x, double xi_y, double xi_theta) const {
+    const double t = xi_theta, half = 0.5 * t;
+    const double a = std::abs(t) < 1e-4 ? 1.0 - t * t / 6.0 : std::sin(t) / t;
+    const double b = std::abs(t) < 1e-4 ? half * (1.0 - t * t / 12.0) : (1.0 - std::cos(t)) / t;
+    return retract(a * xi_x - b * xi_y, b * xi_x + a * xi_y, t);
+  }
+
   // X . xi with xi taken as a pose: to first order X . Exp(xi), and cheaper (METHOD section 1, tangent).
   Pose retract(double xi_x, double xi_y, double xi_theta) const {
     const Vector2 p = transform({xi_x, xi_y});

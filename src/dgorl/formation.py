@@ -49,8 +49,8 @@ def contacts(history: History, low: float, high: float) -> dict[tuple[TrackKey, 
         rank[history.numbers[key]] = order
     pairs, stamps, ranges = _poses(history, keys, low, high)
     for kind, table in history.tables.items():
-        rows = table.between(low, high)
-        if not len(rows.stamp):
+        rows = table.between(low, high) if len(table) else None
+        if rows is None or not len(rows.stamp):
             continue
         a, b = rank[rows.track_a], rank[rows.track_b]
         placed = (a >= 0) & (b >= 0)

@@ -18,7 +18,7 @@ MIRROR = "side (mirror image)"
 TAKES_PART = 0.45
 """A direction is named by its parts of at least this share of the largest one."""
 
-BENT = 3.0
+BENT = 2.0
 """A path is straight while it bends by less than this many times what odometry noise bends it."""
 
 HORIZON = 10.0

@@ -7,7 +7,7 @@ import pytest
 
 from dgorl.history import History
 from dgorl.measurements import WORLD, RelativePose
-from dgorl.nodes import marginalized, stretches
+from dgorl.marginal import marginalized, stretches
 from dgorl.optimization import native
 from dgorl.window import Component, assemble, grow
 from tests.integration.teams import everything, settings, simulated

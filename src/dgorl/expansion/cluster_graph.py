@@ -28,7 +28,8 @@ LEAST_RANGE = 5.0
 TOLERANCE = 1e-4
 """Largest last step of a hypothesis' optimisation at a node [m, rad]."""
 
-ITERATIONS = 30
+ITERATIONS = 60
+"""Most linear systems solved for one optimum."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,9 @@ class ClusterGraph:
             parts.append(np.zeros((1, 3)))
         return np.concatenate(parts)
 
-    def optimize(self, starts: Array, tolerance: float = TOLERANCE) -> Optima:
+    def optimize(self, starts: Array, tolerance: float = TOLERANCE, iterations: int = ITERATIONS) -> Optima:
         """Optimise from each of the starts (B, N, 3)."""
-        found = self.graph.optimize(starts, max_iterations=ITERATIONS, step_tolerance=tolerance)
+        found = self.graph.optimize(starts, max_iterations=iterations, step_tolerance=tolerance)
         return self.weigh(np.asarray(found.poses), np.asarray(found.cost))
 
     def weigh(self, poses: Array, cost: Array) -> Optima:

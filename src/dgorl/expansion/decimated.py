@@ -19,8 +19,8 @@ from dgorl.se2 import Array
 SPACING = 10
 """Keyframes from one pose to the next."""
 
-TOLERANCE = 1e-2
-"""Largest last step [m, rad]."""
+TOLERANCE, ITERATIONS = 1e-2, 30
+"""Largest last step [m, rad], and most linear systems solved for one optimum."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Decimated:
 
     def optimize(self, starts: Array) -> Optima:
         """Optima of the coarse graph from whole starts (B, N, 3)."""
-        return self.graph.optimize(self.coarse(starts), TOLERANCE)
+        return self.graph.optimize(self.coarse(starts), TOLERANCE, ITERATIONS)
 
 
 def decimated(graph: ClusterGraph, poses: Array) -> Decimated:

@@ -12,6 +12,8 @@ from dgorl.optimization.problem import Indices, Problem, Scalars, Solution
 from dgorl.se2 import Array
 
 _KERNELS = {name: getattr(_core, name.upper()) for name in get_args(Kernel)}
+ITERATIONS = 200
+"""At most this many. Ticks take 4; radio alone on a short window, far from the optimum, can take more than 50."""
 
 
 def graph(problem: Problem) -> _core.Graph:
@@ -34,7 +36,7 @@ def solve(problem: Problem, select: Indices, tolerance: float) -> Solution:
     tolerance: largest step of the last iteration [m, rad].
     Raises ValueError when the graph leaves a pose undetermined.
     """
-    found = graph(problem).solve(problem.initial, select, step_tolerance=tolerance)
+    found = graph(problem).solve(problem.initial, select, max_iterations=ITERATIONS, step_tolerance=tolerance)
     return Solution(
         found.poses[0],
         float(found.cost[0]),
