@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from math import floor, inf
 
 import numpy as np
@@ -22,6 +23,7 @@ from dgorl.expansion.hypotheses import (
     fresh,
     groups_of,
     probabilities,
+    settled_pair,
 )
 from dgorl.history import WORLD_KEY, History
 from dgorl.marginal import marginalized, settled, stretches
@@ -37,6 +39,9 @@ ENOUGH = 4
 
 RECENT = 20
 """Keyframes of a hypothesis that ticks optimise; what came before is a prior to them."""
+
+NODES = 2
+"""Nodes in a row at which a relative pose has to be certain to be accepted."""
 
 DRAFTS, STARTS = 40, 4
 """Candidate graphs that are optimised coarsely, and wholly, at a time."""
@@ -83,16 +88,16 @@ def advance(
             cluster = _expanded(step, before, mine, since)
         except ValueError:  # the graph leaves a pose undetermined: nothing can be said of these
             continue
-        again = cluster.agreed & before.agreed if before is not None else frozenset()
+        again = [pair for pair, count in sorted(cluster.agreed.items()) if count >= NODES]
         left = set(linked)
-        for group in groups_of(sorted(again), members):
+        for group in groups_of(again, members):
             try:
                 joined.append(_joined(step, cluster, [components[k] for k in sorted(group)], boundary))
             except ValueError:
                 continue
             left -= group
             kept = [k for k in kept if k not in group]
-        if len(left) + len(groups_of(sorted(again), members)) > 1:
+        if len(left) + len(groups_of(again, members)) > 1:
             clusters.append(cluster)
     return [*(components[k] for k in kept), *joined], clusters
 
@@ -164,9 +169,9 @@ def _expanded(step: Step, before: Cluster | None, components: Sequence[Component
     optima = _searched(graph, coarse, optima, shapes.starts(drafts.cold(shapes, k)))
     for _ in range(1 if unions else 2):
         near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
-        places = np.concatenate([drafts.reseeded(near), drafts.warm(near, optima[[0]], WARM)])
+        places = np.concatenate([drafts.reseeded(near), drafts.mirrored(near), drafts.warm(near, optima[[0]], WARM)])
         optima = _searched(graph, coarse, optima, near.starts(places))
-    return _cluster(step, graph, optima, union, base)
+    return _cluster(step, graph, optima, union, base, before)
 
 
 def _rigid(union: Component, added: Sequence[Component]) -> Component:
@@ -195,7 +200,9 @@ def _with_new(step: Step, graph: ClusterGraph, starts: Array, fresh: list[int], 
     return np.concatenate(grown)[: 2 * STARTS]
 
 
-def _cluster(step: Step, graph: ClusterGraph, optima: Optima, union: Component, base: int) -> Cluster:
+def _cluster(
+    step: Step, graph: ClusterGraph, optima: Optima, union: Component, base: int, before: Cluster | None
+) -> Cluster:
     """The beam of these optima as a cluster."""
     probability = probabilities(optima.mass)
     pin = floor(step.g * KEYFRAMES_PER_SECOND) - RECENT
@@ -208,13 +215,12 @@ def _cluster(step: Step, graph: ClusterGraph, optima: Optima, union: Component, 
         same = len(optima.mass) == 1 or recent is component
         recent_mass = float(mass) if same else _mass(step, graph.bodies, recent)
         hypotheses.append(Hypothesis(component, float(mass), float(p), recent, recent_mass))
-    agreed = set()
-    keys = graph.keys
-    for a in range(len(keys)):
-        for b in range(a + 1, len(keys)):
-            if graph.body[graph.newest[a]] != graph.body[graph.newest[b]] and agreement(optima, probability, a, b) >= CERTAIN:
-                agreed.add((keys[a], keys[b]))
-    return Cluster(base, graph.bodies, tuple(hypotheses), frozenset(agreed))
+    agreed = {}
+    keys, body = graph.keys, graph.body[graph.newest]
+    for a, b in combinations(range(len(keys)), 2):
+        if body[a] != body[b] and agreement(optima, probability, a, b) >= CERTAIN and settled_pair(optima, a, b):
+            agreed[keys[a], keys[b]] = 1 + (0 if before is None else before.agreed.get((keys[a], keys[b]), 0))
+    return Cluster(base, graph.bodies, tuple(hypotheses), agreed)
 
 
 def _mass(step: Step, groups: Sequence[Group], recent: Component) -> float:

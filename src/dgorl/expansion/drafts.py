@@ -158,6 +158,25 @@ def warm(shapes: Shapes, best: Optima, count: int) -> Array:
     return se2.between(at[:, :1], at)
 
 
+def mirrored(shapes: Shapes) -> Array:
+    """The draft (1, m, 3) of a hypothesis' mirror image, as well as bodies that are not mirrored can make it.
+
+    Ranges tell a team from its mirror image by the curves of its paths alone: straight paths by nothing. METHOD §3.
+    """
+    middle, angle = np.zeros((shapes.size, 2)), np.zeros(shapes.size)
+    for b in range(shapes.size):
+        path = shapes.poses[shapes.cluster.body == b]
+        middle[b] = path[:, :2].mean(axis=0)
+        axis = np.linalg.svd(path[:, :2] - middle[b], full_matrices=False)[2][0]
+        heading = np.array([np.cos(path[:, 2]).mean(), np.sin(path[:, 2]).mean()])
+        angle[b] = np.arctan2(axis[1], axis[0]) + (np.pi if axis @ heading < 0 else 0.0)
+    turn = se2.rotation(angle[0])
+    image = (middle - middle[0]) @ turn * np.array([1.0, -1.0]) @ turn.T + middle[0]
+    theta = se2.wrap(2 * (angle[0] - angle))
+    moved = image - np.einsum("bij,bj->bi", se2.rotation(theta), middle)
+    return np.column_stack([moved, theta])[None]
+
+
 def fitted(shapes: Shapes, drafts: Array, placed: list[int], known: int = 0) -> Array:
     """Drafts improved coarsely, distinct ones alone, best first; bodies not placed stay where they are.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,6 +21,9 @@ SAME = 3.0
 
 ALIVE = 14.0
 """Hypotheses whose log mass is this much below the best are dropped."""
+
+BEARING, NEAR = 0.25, 5.0
+"""Position σ up to which a place counts as one, as a share of the distance, which is taken to be at least so far [m]."""
 
 CERTAIN = 0.999
 """Probability at which a relative pose is accepted, at two nodes in a row."""
@@ -51,7 +54,7 @@ class Cluster:
     base: int
     groups: tuple[tuple[TrackKey, ...], ...]
     hypotheses: tuple[Hypothesis, ...]
-    agreed: frozenset[tuple[TrackKey, TrackKey]] = frozenset()
+    agreed: Mapping[tuple[TrackKey, TrackKey], int] = field(default_factory=dict)
 
     @property
     def tracks(self) -> frozenset[TrackKey]:
@@ -115,6 +118,20 @@ def agreement(optima: Optima, probability: Array, a: int, b: int) -> float:
     difference = se2.between(T_best, se2.between(optima.relative[:, a], optima.relative[:, b]))
     square = np.einsum("bi,ij,bj->b", difference, np.linalg.inv(covariance), difference)
     return float(probability[square <= SAME**2].sum())
+
+
+def settled_pair(optima: Optima, a: int, b: int) -> bool:
+    """Whether one of two tracks sees the other within ±BEARING of its distance (1σ), so that Laplace's method holds.
+
+    A wider posterior is bent round the ring of the ranges: its one optimum is no proof that there is no other place.
+    The other way round may stay open: a robot that stands never learns its heading.
+    """
+    spread = []
+    for x, y in ((a, b), (b, a)):
+        T_x_y, covariance = pair_relative(optima.relative[0], optima.covariance[0], x, y)
+        distance = max(float(np.hypot(T_x_y[0], T_x_y[1])), NEAR)
+        spread.append(float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])) / distance)
+    return min(spread) <= BEARING
 
 
 def groups_of(pairs: Sequence[tuple[TrackKey, TrackKey]], members: Mapping[TrackKey, int]) -> list[set[int]]:
