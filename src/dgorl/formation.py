@@ -37,23 +37,26 @@ class Contact(NamedTuple):
     median_range: float | None
 
 
-def contacts(history: History, low: float, high: float) -> dict[tuple[TrackKey, TrackKey], Contact]:
+def contacts(
+    history: History, low: float, high: float, since: Mapping[TrackKey, float] | None = None
+) -> dict[tuple[TrackKey, TrackKey], Contact]:
     """Who measured whom with low ≤ stamp ≤ high [s], in both directions together, by pair in canonical order.
 
-    Readings not placed on tracks do not count, nor do poses relative to the world. RSSI counts as the range it most
-    likely means: of a median, that is unbiased.
+    Readings not placed on tracks do not count, nor do poses relative to the world, nor what is older than ``since`` of
+    either track. RSSI counts as the range it most likely means: of a median, that is unbiased.
     """
     keys = sorted(history.numbers)
     rank = np.full(len(keys) + 1, -1)  # the last entry answers for rows without a track
     for order, key in enumerate(keys):
         rank[history.numbers[key]] = order
+    begin = np.array([(since or {}).get(key, -np.inf) for key in keys] + [-np.inf])
     pairs, stamps, ranges = _poses(history, keys, low, high)
     for kind, table in history.tables.items():
         rows = table.between(low, high) if len(table) else None
         if rows is None or not len(rows.stamp):
             continue
         a, b = rank[rows.track_a], rank[rows.track_b]
-        placed = (a >= 0) & (b >= 0)
+        placed = (a >= 0) & (b >= 0) & (rows.stamp >= np.maximum(begin[a], begin[b]))
         pairs.append(np.where(placed, np.minimum(a, b) * len(keys) + np.maximum(a, b), -1))
         stamps.append(rows.stamp)
         match kind:

@@ -31,6 +31,8 @@ class TeamNow:
 
     joined: tuple[TeamState, ...]
     clusters: tuple[tuple[Weighed, ...], ...]
+    suspects: frozenset[TrackKey] = frozenset()
+    """members that do not fit their component"""
 
 
 class Team:
@@ -60,14 +62,16 @@ class Team:
             self._forget(now)
         node, low = self._memo.node(g), self._memo.low(g)
         states = []
-        for component in grow(self.history, node.components, low, now):
+        for component in grow(self.history, node.components, low, now, node.since):
             if len(component.stretches) > 1:
                 try:
                     states.append(team_state(self.history, component, low, now))
                 except ValueError:  # the graph leaves a pose undetermined: its members stay unjoined
                     continue
         clusters = (hypotheses_now(self.history, cluster, now) for cluster in node.clusters)
-        return TeamNow(tuple(states), tuple(tuple(weighed) for weighed in clusters if weighed))
+        return TeamNow(
+            tuple(states), tuple(tuple(weighed) for weighed in clusters if weighed), frozenset(node.suspects)
+        )
 
     def _forget(self, now: float) -> None:
         history = self.configuration.history
@@ -105,7 +109,7 @@ class Localizer:
         for name in sorted(history.trails):
             track = _current(history, name, now)
             if name != self.robot and track is not None:
-                peers[name] = self._peer(own, track, relative, possible, now)
+                peers[name] = self._peer(own, track, relative, possible, team.suspects, now)
         if WORLD_KEY in relative:
             pose, covariance = relative[WORLD_KEY]
             status, reason = _status(pose, covariance, self.team.configuration)
@@ -124,6 +128,7 @@ class Localizer:
         track: Track,
         relative: Mapping[TrackKey, tuple[Array, Array]],
         possible: Sequence[tuple[float, Mapping[TrackKey, tuple[Array, Array]]]],
+        suspects: frozenset[TrackKey],
         now: float,
     ) -> PeerEstimate:
         """METHOD §3, Status."""
@@ -137,15 +142,19 @@ class Localizer:
         if track.key in relative:
             pose, covariance = relative[track.key]
             status, reason = _status(pose, covariance, configuration)
+            if track.key in suspects or own.key in suspects:
+                who = track.key.robot if track.key in suspects else self.robot
+                reason = (
+                    f"inconsistent: {who}'s odometry and readings contradict the team's; carried, or a faulty sensor"
+                )
+                status = Status.UNOBSERVABLE
             return PeerEstimate(pose, covariance, status, 1.0, age, reason)
         places = places_of(track.key, possible)
         if places:
             best = places[0]
             count = f"{len(places)} places fit" if len(places) > 1 else "one place fits, not yet for long enough"
             reason = f"{count}, the best with probability {best.probability:.3f}"
-            return PeerEstimate(
-                best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, "", places
-            )
+            return PeerEstimate(best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, "", places)
         if history.linked(own, track):
             reason = "measurements link us, but too few to tell where it is"
             return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "keep moving within range")
@@ -153,9 +162,7 @@ class Localizer:
         return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "come into range")
 
 
-def _possible(
-    team: TeamNow, own: Track | None
-) -> Sequence[tuple[float, Mapping[TrackKey, tuple[Array, Array]]]]:
+def _possible(team: TeamNow, own: Track | None) -> Sequence[tuple[float, Mapping[TrackKey, tuple[Array, Array]]]]:
     """The hypotheses of the cluster a track stands in, seen from it."""
     for cluster in team.clusters:
         if own is not None and any(own.key in state.members for _, state in cluster):

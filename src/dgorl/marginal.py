@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +18,16 @@ TOLERANCE = 1e-9
 """Largest last step of a node's optimisation [m, rad]."""
 
 
-def settled(history: History, component: Component, low: float, g: float, boundary: float) -> Component:
+@dataclass(frozen=True)
+class Settled:
+    """A component at a node, and the window whose optimum ``poses`` (N, 3) it comes from."""
+
+    component: Component
+    window: Window
+    poses: Array
+
+
+def settled(history: History, component: Component, low: float, g: float, boundary: float) -> Settled:
     """The component converged on [low, g] [s], with everything before ``boundary`` [s] marginalised into a prior.
 
     Raises ValueError when the graph leaves a pose undetermined.
@@ -28,7 +38,30 @@ def settled(history: History, component: Component, low: float, g: float, bounda
     priors = component.priors
     if pin is not None and pin > window.base:
         priors = marginalized(window, solution.poses, pin)
-    return Component(stretches(window, solution.poses, pin), priors)
+    return Settled(Component(stretches(window, solution.poses, pin), priors), window, solution.poses)
+
+
+def without(history: History, component: Component, robot: TrackKey, low: float, keyframe: int) -> Component:
+    """The component's other members at ``keyframe``, with all that was known until then, ``robot`` included, as a prior.
+
+    component: as it was before; it has to know the keyframe. Raises ValueError when a pose is undetermined.
+    """
+    cut = {
+        key: stretch if key == WORLD_KEY else Stretch(stretch.first, stretch.poses[: keyframe - stretch.first + 1])
+        for key, stretch in component.stretches.items()
+        if key == WORLD_KEY or stretch.first < keyframe
+    }
+    before = Component(cut, component.priors, component.links)
+    limit = keyframe / KEYFRAMES_PER_SECOND
+    inside = tuple(
+        link for link in component.links
+        if {link.reference, link.robot} <= cut.keys() and max(link.stamp_reference, link.stamp_robot) < limit
+    )  # fmt: skip
+    window = assemble(history, Component(before.stretches, before.priors, inside), low, limit, keyframe)
+    solution = solve(window.problem, np.zeros(0, np.int64), TOLERANCE, history.configuration.solver)
+    priors = marginalized(window, solution.poses, keyframe, robot)
+    found = {key: s for key, s in stretches(window, solution.poses, keyframe).items() if key != robot}
+    return Component(found, priors)
 
 
 def stretches(window: Window, poses: Array, first: int | None) -> Mapping[TrackKey, Stretch]:
@@ -43,20 +76,21 @@ def stretches(window: Window, poses: Array, first: int | None) -> Mapping[TrackK
     return found
 
 
-def marginalized(window: Window, poses: Array, boundary: int) -> tuple[Prior, ...]:
-    """The prior at the boundary keyframe, relative to the first track by name that stands there."""
+def marginalized(window: Window, poses: Array, boundary: int, leave_out: TrackKey | None = None) -> tuple[Prior, ...]:
+    """The prior at the boundary keyframe, relative to the first track by name that stands there.
+
+    leave_out: a track that is marginalised altogether, what it says of the others included in the prior.
+    """
     standing = {
         window.index(key, boundary): key
         for key, (_, first, count) in window.layout.items()
-        if first < boundary < first + count
+        if first < boundary < first + count and key != leave_out
     }
     if not standing:
         return ()
     reference = min(standing)
     found = native.marginalize(window.problem, poses, boundary - window.base, reference, window.world)
     members, relative, information, gradient = found
-    if not len(members):
-        return ()
     names = {
         window.index(key, boundary): key
         for key, (_, first, n) in window.layout.items()
@@ -65,4 +99,23 @@ def marginalized(window: Window, poses: Array, boundary: int) -> tuple[Prior, ..
     if window.world is not None:
         names[window.world] = WORLD_KEY
     keys = tuple(names[int(member)] for member in members)
-    return (Prior(boundary, standing[reference], keys, relative, information, gradient),)
+    prior = Prior(boundary, standing[reference], keys, relative, information, gradient)
+    prior = _left_out(prior, leave_out) if leave_out in keys else prior
+    return (prior,) if prior.members else ()
+
+
+def _left_out(prior: Prior, key: TrackKey | None) -> Prior:
+    """The prior on the other members, that one marginalised."""
+    gone = np.repeat([member == key for member in prior.members], 3)
+    kept = ~gone
+    coupling = prior.information[np.ix_(kept, gone)]
+    factor = np.linalg.solve(prior.information[np.ix_(gone, gone)], coupling.T).T
+    information = prior.information[np.ix_(kept, kept)] - factor @ coupling.T
+    return Prior(
+        prior.keyframe,
+        prior.reference,
+        tuple(member for member in prior.members if member != key),
+        prior.relative[kept[::3]],
+        (information + information.T) / 2,
+        prior.gradient[kept] - factor @ prior.gradient[gone],
+    )

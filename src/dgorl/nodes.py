@@ -7,14 +7,20 @@ their stamp on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import ceil, floor, inf
 
+from dgorl.consistency import Suspect, suspect
 from dgorl.expansion.clusters import SPACING, advance
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.history import History
-from dgorl.marginal import settled
-from dgorl.window import Component, alone, grow
+from dgorl.marginal import settled, without
+from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
+from dgorl.window import Component, alone, extended, grow
+
+BREAK = 2
+"""Nodes in a row at which a member has not fitted when it is cut off."""
 
 DELAY = 1.0
 """A node is first used this long after its time [s], when most of its data has arrived."""
@@ -27,6 +33,10 @@ class Node:
     stamp: float
     components: tuple[Component, ...] = ()
     clusters: tuple[Cluster, ...] = ()
+    since: Mapping[TrackKey, float] = field(default_factory=dict)
+    """from when on a track counts that was cut off its component [s]"""
+    suspects: Mapping[TrackKey, Suspect] = field(default_factory=dict)
+    """members that do not fit their component"""
 
 
 class Memo:
@@ -68,7 +78,7 @@ class Memo:
             node = Node((ceil(self._earliest / SPACING) - 1) * SPACING)
         while node.stamp < g:
             quiet = self._quiet_until(node, g)
-            node = self._advance(node) if quiet is None else Node(quiet, node.components, node.clusters)
+            node = self._advance(node) if quiet is None else replace(node, stamp=quiet)
             self._nodes[node.stamp] = node
         return node
 
@@ -86,14 +96,41 @@ class Memo:
         """F: node(g − 5) → node(g). Formation, expansion, optimisation: Alg. 3 for the nodes."""
         g = node.stamp + SPACING
         low, boundary = self.low(node.stamp), self.low(g)
-        found = []
-        for component in grow(self._history, node.components, low, g):
-            if len(component.stretches) > 1:
-                try:
-                    found.append(settled(self._history, component, low, g, boundary))
-                except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
-                    found += [alone(track, low, g) for track in self._history.tracks if track.key in component.stretches]
-            else:
-                found.append(component)
-        components, clusters = advance(self._history, node.clusters, found, low, g, boundary)
-        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters))
+        tracks = {track.key: track for track in self._history.tracks}
+        since = {key: stamp for key, stamp in node.since.items() if key in tracks}
+        found: list[Component] = []
+        suspects: dict[TrackKey, Suspect] = {}
+        for component in grow(self._history, node.components, low, g, since):
+            try:
+                parts, seen = self._optimised(component, low, g, boundary, node.suspects)
+            except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
+                parts, seen = [alone(tracks[key], low, g) for key in component.tracks], None
+            found += parts
+            if seen is not None:
+                suspects[seen.key] = seen
+                if seen.nodes >= BREAK:
+                    since[seen.key] = seen.since / KEYFRAMES_PER_SECOND
+        broken = {key for key, seen in suspects.items() if seen.nodes >= BREAK}
+        clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
+        components, clusters = advance(self._history, clusters, found, since, low, g, boundary)
+        suspects = {key: seen for key, seen in suspects.items() if key not in broken}
+        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects)
+
+    def _optimised(
+        self, component: Component, low: float, g: float, boundary: float, before: Mapping[TrackKey, Suspect]
+    ) -> tuple[list[Component], Suspect | None]:
+        """A component settled at g, in two where a member has not fitted for two nodes; and who fits worst."""
+        if len(component.stretches) < 2:
+            return [component], None
+        done = settled(self._history, component, low, g, boundary)
+        seen = suspect(self._history, done.window, done.poses, g)
+        if seen is not None and seen.key in before:
+            seen = replace(seen, nodes=before[seen.key].nodes + 1)
+        if seen is None or seen.nodes < BREAK:
+            return [done.component], seen
+        tracks = {track.key: track for track in self._history.tracks}
+        start = seen.since / KEYFRAMES_PER_SECOND
+        rest = extended(without(self._history, component, seen.key, low, seen.since), tracks, g)
+        parts = [settled(self._history, rest, start, g, boundary).component] if len(rest.stretches) > 1 else [rest]
+        left = [key for key in component.tracks if key not in rest.stretches]
+        return [*parts, *(alone(tracks[key], start, g) for key in left)], seen

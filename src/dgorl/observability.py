@@ -154,12 +154,15 @@ def _weight(s: Scalars, poses: Array, problem: Problem) -> Array:
 
 def edge_information(b: Bars, pair: tuple[int, int]) -> Array:
     """W_e = Σ w ℓℓᵀ (3, 3) of the second body's pose, the first held still; heading in metres."""
+    return _edge_information(b, pair, *b.rows())
+
+
+def _edge_information(b: Bars, pair: tuple[int, int], row_i: Array, row_j: Array) -> Array:
     i, j = pair
-    row_i, row_j = b.rows()
     ahead, back = (b.i == i) & (b.j == j), (b.i == j) & (b.j == i)
     rows = np.concatenate([row_j[ahead], row_i[back]])
     weight = np.concatenate([b.weight[ahead], b.weight[back]])
-    return np.asarray(np.einsum("k,ki,kj->ij", weight, rows, rows))
+    return np.asarray((weight[:, None] * rows).T @ rows)
 
 
 def rank_of(information: Array, tolerance: float = EXACT) -> int:
@@ -175,7 +178,8 @@ def rank_of(information: Array, tolerance: float = EXACT) -> int:
 def edge_ranks(b: Bars, tolerance: float = EXACT) -> dict[tuple[int, int], int]:
     """Rank of W_e, 0…3, of every pair (i < j) of bodies with a bar between them."""
     pairs = sorted({(min(i, j), max(i, j)) for i, j in zip(b.i.tolist(), b.j.tolist(), strict=True)})
-    return {pair: rank_of(edge_information(b, pair), tolerance) for pair in pairs}
+    rows = b.rows()
+    return {pair: rank_of(_edge_information(b, pair, *rows), tolerance) for pair in pairs}
 
 
 # ---- T1: geometry ----

@@ -30,6 +30,9 @@ STEPS = 10
 WORTH = 1.02
 """A command replaces one before it in the list for at least this much more information: no coin is tossed."""
 
+SLIGHT = 1e-3
+"""Eigenvalues are compared above this share of what all those ranges could add: what is less decides nothing."""
+
 
 # ---- in words ----
 
@@ -97,8 +100,8 @@ def odometry_wander(delta: Array, covariance: Array) -> float:
     lever = np.where(after, way[:, None] - way[:-1], 0.0)
     line, _ = np.linalg.qr(np.column_stack([np.ones(count + 1), way if way[-1] > 0 else np.arange(count + 1)]))
     bend = np.stack([after.astype(float), lever], axis=-1)
-    bend -= np.einsum("tp,sp,ska->tka", line, line, bend)
-    spread = np.einsum("tka,kab,tkb->", bend, covariance[:, 1:, 1:], bend)
+    bend -= np.tensordot(line, np.tensordot(line, bend, (0, 0)), 1)
+    spread = (np.einsum("tka,tkb->kab", bend, bend) * covariance[:, 1:, 1:]).sum()
     return sqrt(max(float(spread), 0.0) / (count + 1))
 
 
@@ -160,7 +163,8 @@ def resolve_by(
     names: ego and peer. pose: T_ego_peer (3,). information: (3, 3) of (x, y, theta) in the ego's frame, what is known
     already. Each second of the next 10 s a range of σ ``range_sigma`` + ``range_sigma_per_metre`` · distance [m] is
     taken, while one robot follows the command and the other keeps its twist (v [m/s], ω [rad/s]) of ``twists``; best is
-    the largest λ_min of the information on x, y and heading × distance. Empty if nothing helps.
+    the largest λ_min of the information on x, y and heading × distance. While the other stands, no command of one alone
+    raises λ_min (rank 2); best is then the largest second eigenvalue. Empty if nothing helps.
 
     mirror: all has gone straight, and the image mirrored in the ego's line of travel, which no local information knows
     of, is alive. Best is then what tells the two apart, Σ (d − d')²/σ² of their ranges. METHOD §3.
@@ -186,7 +190,9 @@ def resolve_by(
     rows /= sigma[..., None]
     units = np.array([1.0, 1.0, 1.0 / scale])
     known = np.asarray(information, dtype=float) * np.outer(units, units)
-    return _best(names, commands, np.linalg.eigvalsh(known + rows.transpose(0, 2, 1) @ rows)[:, 0])
+    least = SLIGHT * STEPS / float(sigma.min()) ** 2
+    weakest, second, _ = np.linalg.eigvalsh(known + rows.transpose(0, 2, 1) @ rows).T + least
+    return _best(names, commands, weakest) or _best(names, commands, second)
 
 
 def _best(names: tuple[str, str], commands: Sequence[Command], values: Array) -> str:

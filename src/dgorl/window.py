@@ -92,20 +92,31 @@ class Window:
 WORLD_STRETCH = Stretch(0, np.zeros((1, 3)))
 
 
-def grow(history: History, components: Iterable[Component], low: float, limit: float) -> list[Component]:
+def grow(
+    history: History,
+    components: Iterable[Component],
+    low: float,
+    limit: float,
+    since: Mapping[TrackKey, float] | None = None,
+) -> list[Component]:
     """Components extended to ``limit`` [s] by odometry, from window start ``low`` [s] on, joined where poses link them.
 
     Every track with odometry in the window is in exactly one of the components returned, alone if nothing links it.
+    since: from when on a track counts, if it was cut off its component [s].
     """
     tracks = {t.key: t for t in history.tracks if t.core.known(limit) >= max(low, t.key.begin)}
     units = [extended(unit, tracks, limit) for unit in components]
     taken = {key for unit in units for key in unit.stretches}
-    units += [alone(track, low, limit) for key, track in tracks.items() if key not in taken]
+    units += [
+        alone(track, max(low, (since or {}).get(key, low)), limit) for key, track in tracks.items() if key not in taken
+    ]
     if not any(unit.has_world for unit in units):
         units.append(Component({WORLD_KEY: WORLD_STRETCH}))
     for link in links(history, tracks, low, limit):
         a = next(unit for unit in units if link.reference in unit.stretches)
         b = next(unit for unit in units if link.robot in unit.stretches)
+        if not (stands(a, link.reference, link.stamp_reference) and stands(b, link.robot, link.stamp_robot)):
+            continue
         units = [unit for unit in units if unit is not a and unit is not b]
         units.append(_joined(a, b, link, tracks))
     return sorted((u for u in units if u.tracks), key=lambda unit: unit.tracks[0])
@@ -190,6 +201,11 @@ def links(history: History, tracks: Mapping[TrackKey, Track], low: float, limit:
         else:
             found.append(link)
     return found
+
+
+def stands(unit: Component, key: TrackKey, stamp: float) -> bool:
+    """Whether a component's poses of a track go back to ``stamp`` [s]."""
+    return key == WORLD_KEY or unit.stretches[key].first <= int(np.floor(stamp * KEYFRAMES_PER_SECOND))
 
 
 def _joined(a: Component, b: Component, link: Link, tracks: Mapping[TrackKey, Track]) -> Component:

@@ -73,7 +73,9 @@ def drift(problem: Problem, tracks: list[tuple[int, int]]) -> Drift:
     return Drift(position, heading, middle)
 
 
-def sightings(problem: Problem, stamps: tuple[Array, ...], body: Indices, poses: Array, noise: Drift) -> list[Sightings]:
+def sightings(
+    problem: Problem, stamps: tuple[Array, ...], body: Indices, poses: Array, noise: Drift
+) -> list[Sightings]:
     """What the readings of a problem say of its bodies; body (N,) of each pose, poses (N, 3) in their body's frame."""
     span = max((float(np.ptp(t)) for t in stamps if len(t)), default=0.0)
     width = max(span / BINS, SHORTEST_BIN)
@@ -127,7 +129,9 @@ def _thinned(problem: Problem, kind: str, i: Indices, j: Indices, mean: Array, s
     return Sightings(kind, i, j, mean[:, :3], mean[:, 3:6], mean[:, 6], value, whole, distance, slope, loss)
 
 
-def body_graph(found: list[Sightings], bodies: int, radio: tuple[float, float], inflate: Array | None = None) -> _core.Graph:
+def body_graph(
+    found: list[Sightings], bodies: int, radio: tuple[float, float], inflate: Array | None = None
+) -> _core.Graph:
     """The core's graph of the bodies, body 0 fixed. inflate: added to the variance of ranges [m²], one per reading."""
     fixed = np.zeros(bodies, bool)
     fixed[0] = True

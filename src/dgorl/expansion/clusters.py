@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from math import floor, inf
 
@@ -25,11 +25,12 @@ from dgorl.expansion.hypotheses import (
     probabilities,
     settled_pair,
 )
+from dgorl.formation import contacts
 from dgorl.history import WORLD_KEY, History
 from dgorl.marginal import marginalized, settled, stretches
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey
-from dgorl.window import Component, Link, Prior, alone, extended, links
+from dgorl.window import Component, Link, Prior, alone, extended, links, stands
 
 SPACING = 5.0
 """Seconds between nodes."""
@@ -59,6 +60,7 @@ class Step:
     history: History
     tracks: Mapping[TrackKey, Track]
     g: float
+    since: Mapping[TrackKey, float] = field(default_factory=dict)
 
     @property
     def index(self) -> int:
@@ -71,21 +73,27 @@ class Step:
 
 
 def advance(
-    history: History, previous: Sequence[Cluster], components: Sequence[Component], low: float, g: float, boundary: float
+    history: History,
+    previous: Sequence[Cluster],
+    components: Sequence[Component],
+    since: Mapping[TrackKey, float],
+    low: float,
+    g: float,
+    boundary: float,
 ) -> tuple[list[Component], list[Cluster]]:
     """Components and clusters at node g [s]: components joined where two nodes agree, hypotheses about the others.
 
-    previous: the clusters of the node before. low, boundary: starts of this and the next node's window [s].
+    previous: the clusters of the node before. since: from when on tracks count that were cut off [s]. low, boundary: starts of this and the next node's window [s].
     """
     members = {key: k for k, component in enumerate(components) for key in component.tracks}
-    step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g)
+    step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g, since)
     kept, clusters = list(range(len(components))), []
     joined: list[Component] = []
-    for linked, since in _linked(history, members, len(components), g):
+    for linked, first in _linked(step, members):
         mine = [components[k] for k in linked]
         before = _before(previous, mine)
         try:
-            cluster = _expanded(step, before, mine, since)
+            cluster = _expanded(step, before, mine, first)
         except ValueError:  # the graph leaves a pose undetermined: nothing can be said of these
             continue
         again = [pair for pair, count in sorted(cluster.agreed.items()) if count >= NODES]
@@ -102,41 +110,26 @@ def advance(
     return [*(components[k] for k in kept), *joined], clusters
 
 
-def contacts(history: History, members: Mapping[TrackKey, int], low: float, high: float) -> dict[tuple[int, int], tuple[int, float]]:
-    """Readings between components in [low, high] [s]: pair → (their number, stamp of the first)."""
-    number = np.full(len(history.numbers) + 1, -1)
-    for key, k in members.items():
-        number[history.numbers[key]] = k
-    found: dict[tuple[int, int], tuple[int, float]] = {}
-    size = max(members.values(), default=0) + 1
-    for table in history.tables.values():
-        rows = table.between(low, high)
-        a, b = number[rows.track_a], number[rows.track_b]
-        use = np.flatnonzero((a >= 0) & (b >= 0) & (a != b))
-        if not len(use):
-            continue
-        code = np.minimum(a[use], b[use]) * size + np.maximum(a[use], b[use])
-        codes, first, count = np.unique(code, return_index=True, return_counts=True)
-        for c, f, n in zip(codes.tolist(), first.tolist(), count.tolist(), strict=True):
-            pair = divmod(c, size)
-            known = found.get(pair, (0, inf))
-            found[pair] = (known[0] + n, min(known[1], float(rows.stamp[use[f]])))
-    return found
-
-
-def _linked(history: History, members: Mapping[TrackKey, int], count: int, g: float) -> list[tuple[list[int], float]]:
+def _linked(step: Step, members: Mapping[TrackKey, int]) -> list[tuple[list[int], float]]:
     """Sets of two or more components that readings of the last ``history`` seconds link, and the stamp of the first."""
-    horizon = -inf if history.configuration.window == "all" else g - history.configuration.history
+    configuration = step.history.configuration
+    horizon = -inf if configuration.window == "all" else step.g - configuration.history
+    between: dict[tuple[int, int], tuple[int, float]] = {}
+    for (a, b), contact in contacts(step.history, horizon, step.g, step.since).items():
+        if a in members and b in members and members[a] != members[b]:
+            pair = min(members[a], members[b]), max(members[a], members[b])
+            readings, first = between.get(pair, (0, inf))
+            between[pair] = readings + contact.readings, min(first, contact.first)
     sets: list[tuple[set[int], float]] = []
-    for (a, b), (n, first) in sorted(contacts(history, members, horizon, g).items()):
-        if n < ENOUGH:
+    for pair, (readings, first) in sorted(between.items()):
+        if readings < ENOUGH:
             continue
-        joined, since = {a, b}, first
+        joined, since = set(pair), first
         for other in [s for s in sets if s[0] & joined]:
             sets.remove(other)
             joined, since = joined | other[0], min(since, other[1])
         sets.append((joined, since))
-    return [(sorted(s), since) for s, since in sorted(sets, key=lambda s: min(s[0]))]
+    return [(sorted(joined), since) for joined, since in sorted(sets, key=lambda s: min(s[0]))]
 
 
 def _before(previous: Sequence[Cluster], components: Sequence[Component]) -> Cluster | None:
@@ -239,7 +232,7 @@ def _joined(step: Step, cluster: Cluster, components: Sequence[Component], bound
     low = cluster.base / KEYFRAMES_PER_SECOND
     weak = _weak(best, components, step)
     best = Component(best.stretches, (*best.priors, *weak), internal_links(step, best, low))
-    return settled(step.history, best, low, step.g, boundary)
+    return settled(step.history, best, low, step.g, boundary).component
 
 
 def _weak(best: Component, components: Sequence[Component], step: Step) -> tuple[Prior, ...]:
@@ -271,7 +264,11 @@ def internal_links(step: Step, component: Component, low: float) -> tuple[Link, 
     """Measured relative poses inside a component since ``low`` [s]."""
     inside = component.stretches
     return tuple(
-        link for link in links(step.history, step.tracks, low, step.g) if {link.reference, link.robot} <= inside.keys()
+        link
+        for link in links(step.history, step.tracks, low, step.g)
+        if {link.reference, link.robot} <= inside.keys()
+        and stands(component, link.reference, link.stamp_reference)
+        and stands(component, link.robot, link.stamp_robot)
     )
 
 
@@ -286,7 +283,8 @@ def _fresh(step: Step, component: Component, base: int) -> Component:
     """A component as it enters a cluster: single tracks from the base on."""
     if len(component.stretches) > 1 or WORLD_KEY in component.stretches:
         return Component(component.stretches, component.priors)
-    return alone(step.tracks[component.tracks[0]], base / KEYFRAMES_PER_SECOND, step.g)
+    key = component.tracks[0]
+    return alone(step.tracks[key], max(base / KEYFRAMES_PER_SECOND, step.since.get(key, -inf)), step.g)
 
 
 def _union(components: Sequence[Component]) -> Component:

@@ -40,7 +40,13 @@ def compatibility(
 
 
 def _residual(
-    s: Sightings, rows: Indices, swap: NDArray[np.bool_], T_a: Array, T_b: Array, on_a: Array, on_b: Array,
+    s: Sightings,
+    rows: Indices,
+    swap: NDArray[np.bool_],
+    T_a: Array,
+    T_b: Array,
+    on_a: Array,
+    on_b: Array,
     radio: tuple[float, float],
 ) -> tuple[Array, Array, Array]:
     """Residuals (k_a, k_b, M) and their Jacobians (..., M, 3) by right perturbations of T_a (k_a, 1, 3), T_b (1, k_b, 3)."""

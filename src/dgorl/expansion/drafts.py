@@ -112,7 +112,9 @@ def complete(shapes: Shapes, drafts: Array, placed: list[int], k: int) -> Array:
 
 
 def _links(found: Iterable[Sightings], j: int, placed: list[int]) -> int:
-    return sum(int(np.sum(np.isin(s.i, placed) & (s.j == j)) + np.sum(np.isin(s.j, placed) & (s.i == j))) for s in found)
+    return sum(
+        int(np.sum(np.isin(s.i, placed) & (s.j == j)) + np.sum(np.isin(s.j, placed) & (s.i == j))) for s in found
+    )
 
 
 def place(shapes: Shapes, draft: Array, placed: list[int], j: int, k: int, warm: Array | None = None) -> Candidates:

@@ -14,7 +14,7 @@ from dgorl.optimization.linearization import Linearization
 from dgorl.optimization.problem import Problem
 from dgorl.se2 import Array
 
-ITERATIONS = 200
+ITERATIONS = 500
 """At most this many of Levenberg–Marquardt."""
 
 

@@ -1,0 +1,117 @@
+"""Does a robot still fit its team? Two tests of a settled window, for robots that were carried or whose readings lie.
+
+METHOD §4, break. A robot that was carried shows as an odometry step the rest of the window contradicts: the cost falls
+by T ~ χ²(3) when the step is left out, and T follows from the step's residual u, its covariance Q and its posterior
+covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its readings instead, these no longer sum up as χ² does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgorl import se2
+from dgorl.graph import residuals
+from dgorl.history import History
+from dgorl.optimization import native
+from dgorl.se2 import Array
+from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
+from dgorl.window import Window
+
+INTERVALS = (5.0, 10.0, 15.0)
+"""Odometry is tested this long before the node [s]."""
+
+CLIP = 9.0
+"""A reading's squared normalised residual counts at most this much: a few outliers are no reason."""
+
+FEWEST = 3
+"""Readings below which a robot's sum says nothing."""
+
+QUANTILE = 3.719
+"""Standard normal quantile of a tail of 1e-4."""
+
+NEAR_RANK = 1e-6
+"""Directions in which Q − C is this small beside Q are not determined by the rest of the window."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A member that fits badly since keyframe ``since``; excess: of its statistic over the tail's, 1 at the limit."""
+
+    key: TrackKey
+    since: int
+    excess: float
+    nodes: int = 1
+    """for how many nodes in a row"""
+
+
+def chi2_limit(dof: float) -> float:
+    """What χ² with ``dof`` degrees of freedom exceeds with probability 1e-4 (Wilson–Hilferty)."""
+    spread = 2.0 / (9.0 * dof)
+    return float(dof * (1.0 - spread + QUANTILE * np.sqrt(spread)) ** 3)
+
+
+def suspect(history: History, window: Window, poses: Array, g: float) -> Suspect | None:
+    """The member that fits worst at node g [s], if it fits badly; poses (N, 3) are the window's optimum."""
+    found = [*_carried(window, poses, g), *_rejected(history, window, poses, g)]
+    worst = max(found, key=lambda s: (s.excess, s.key), default=None)
+    return worst if worst is not None and worst.excess > 1.0 else None
+
+
+def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
+    """Odometry steps against the rest of the window."""
+    now = int(np.floor(g * KEYFRAMES_PER_SECOND))
+    i, _, delta, information = window.problem.odometry
+    edge = {int(k): row for row, k in enumerate(i)}
+    rows: list[tuple[TrackKey, int, int]] = []
+    for back in INTERVALS:
+        keyframe = now - int(back * KEYFRAMES_PER_SECOND)
+        for key, (offset, first, count) in window.layout.items():
+            if first <= keyframe and keyframe + 1 < first + count and keyframe > window.base:
+                rows.append((key, keyframe, offset + keyframe - first))
+    if len(window.layout) < 2 or not rows:
+        return []
+    at = np.array([index for _, _, index in rows])
+    joint = native.covariance(window.problem, poses, np.concatenate([at, at + 1]))
+    found = []
+    for k, (key, keyframe, index) in enumerate(rows):
+        row = edge[index]
+        motion = se2.between(poses[index], poses[index + 1])
+        u = se2.between(delta[row], motion)
+        back = se2.adjoint(se2.inverse(motion))
+        a, b = slice(3 * k, 3 * k + 3), slice(3 * (k + len(rows)), 3 * (k + len(rows)) + 3)
+        cross = joint[b, a] @ back.T
+        posterior = joint[b, b] - cross - cross.T + back @ joint[a, a] @ back.T
+        found.append(Suspect(key, keyframe, _drop(u, np.linalg.inv(information[row]), posterior) / chi2_limit(3)))
+    return found
+
+
+def _drop(u: Array, q: Array, c: Array) -> float:
+    """uᵀ(Q − C)⁻¹u over the directions that the rest of the window determines."""
+    root = np.linalg.cholesky(q)
+    white = np.linalg.solve(root, u)
+    left = np.eye(3) - np.linalg.solve(root, np.linalg.solve(root, c).T)
+    values, vectors = np.linalg.eigh((left + left.T) / 2)
+    part = vectors.T @ white
+    use = values > NEAR_RANK
+    return float(np.sum(part[use] ** 2 / values[use]))
+
+
+def _rejected(history: History, window: Window, poses: Array, g: float) -> list[Suspect]:
+    """Sums of every member's clipped squared residuals of the last 5 s."""
+    since = g - INTERVALS[0]
+    keys = list(window.layout)
+    owner = np.repeat(np.arange(len(keys)), [count for _, _, count in window.layout.values()])
+    total, number = np.zeros(len(keys)), np.zeros(len(keys))
+    for scalars, stamps in zip(window.problem.scalars, window.stamps, strict=True):
+        first = int(np.searchsorted(stamps, since, "right"))
+        i, j = owner[scalars.i[first:]], owner[scalars.j[first:]]
+        square = np.minimum(residuals(window.problem, scalars, poses)[first:] ** 2, CLIP)
+        for end in (i, j):
+            total += np.bincount(end, square, len(keys))
+            number += np.bincount(end, minlength=len(keys))
+    keyframe = int(np.floor(since * KEYFRAMES_PER_SECOND))
+    return [
+        Suspect(key, keyframe, total[k] / chi2_limit(number[k])) for k, key in enumerate(keys) if number[k] >= FEWEST
+    ]
