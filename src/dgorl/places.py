@@ -8,11 +8,9 @@ import numpy as np
 
 from dgorl import se2
 from dgorl.estimate import PeerHypothesis
+from dgorl.expansion.apart import SAME
 from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
-
-SAME = 3.0
-"""Places nearer than this Mahalanobis distance are one."""
 
 
 def places_of(

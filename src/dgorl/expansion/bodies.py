@@ -118,15 +118,19 @@ def sightings(
 def _thinned(problem: Problem, kind: str, i: Indices, j: Indices, mean: Array, sigma: Array, loss: Loss) -> Sightings:
     at_1m, exponent = problem.radio
     value, variance = mean[:, 7], mean[:, 8]
-    if kind == "rssi":
-        distance = np.maximum(10.0 ** ((at_1m - value) / (10.0 * exponent)), 0.1)
-        slope = 10.0 * exponent / np.log(10.0) / distance
-    elif kind == "range":
-        distance, slope = value, np.ones_like(value)
-    else:
-        distance, slope = np.full_like(value, np.nan), np.full_like(value, 0.2)
+    distance = np.full_like(value, np.nan)
+    if kind != "bearing":
+        distance = value if kind == "range" else 10.0 ** ((at_1m - value) / (10.0 * exponent))
+    slope = slopes(kind, distance, problem.radio)
     whole = np.sqrt(sigma**2 + slope**2 * variance)
     return Sightings(kind, i, j, mean[:, :3], mean[:, 3:6], mean[:, 6], value, whole, distance, slope, loss)
+
+
+def slopes(kind: str, distance: Array, radio: tuple[float, float]) -> Array:
+    """|d value / d distance| (M,) of readings that mean these distances [m]; of bearings, at 5 m."""
+    if kind == "rssi":
+        return np.asarray(10.0 * radio[1] / np.log(10.0) / np.maximum(distance, 0.1))
+    return np.full_like(distance, 1.0 if kind == "range" else 0.2)
 
 
 def body_graph(

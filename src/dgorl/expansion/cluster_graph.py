@@ -28,7 +28,7 @@ LEAST_RANGE = 5.0
 TOLERANCE = 1e-4
 """Largest last step of a hypothesis' optimisation at a node [m, rad]."""
 
-ITERATIONS = 60
+ITERATIONS = 30
 """Most linear systems solved for one optimum."""
 
 

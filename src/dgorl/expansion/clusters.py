@@ -15,6 +15,7 @@ from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
 from dgorl.expansion.decimated import Decimated, decimated
 from dgorl.expansion.hypotheses import (
     CERTAIN,
+    COARSE,
     Cluster,
     Hypothesis,
     agreement,
@@ -158,7 +159,8 @@ def _expanded(step: Step, before: Cluster | None, components: Sequence[Component
     if unions:
         starts = np.stack([graph.start(u) for u in unions])
         new = [j for j, c in enumerate(added) if not c.stretches.keys() & known[0].stretches.keys()]
-        optima = distinct(graph.optimize(_with_new(step, graph, starts, new, k) if new else starts))
+        starts = _with_new(step, graph, starts, new, k) if new else starts
+        optima = distinct(graph.optimize(coarse.whole(coarse.optimize(starts).poses)))
     optima = _searched(graph, coarse, optima, shapes.starts(drafts.cold(shapes, k)))
     for _ in range(1 if unions else 2):
         near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
@@ -177,7 +179,7 @@ def _searched(graph: ClusterGraph, coarse: Decimated, optima: Optima | None, sta
     """The best of the optima and of what candidate graphs lead to: coarsely all of them, wholly the few best."""
     found = coarse.optimize(starts[:DRAFTS])
     if optima is None:
-        return distinct(graph.optimize(coarse.whole(distinct(found, STARTS).poses)))
+        return distinct(graph.optimize(coarse.whole(distinct(found, STARTS, COARSE).poses)))
     new = fresh(coarse.optimize(optima.poses), found, STARTS)
     return distinct(both(optima, graph.optimize(coarse.whole(new.poses)))) if len(new.mass) else optima
 
@@ -211,7 +213,11 @@ def _cluster(
     agreed = {}
     keys, body = graph.keys, graph.body[graph.newest]
     for a, b in combinations(range(len(keys)), 2):
-        if body[a] != body[b] and agreement(optima, probability, a, b) >= CERTAIN and settled_pair(optima, a, b):
+        if (
+            body[a] != body[b]
+            and (len(probability) == 1 or agreement(optima, probability, a, b) >= CERTAIN)
+            and settled_pair(optima, a, b)
+        ):
             agreed[keys[a], keys[b]] = 1 + (0 if before is None else before.agreed.get((keys[a], keys[b]), 0))
     return Cluster(base, graph.bodies, tuple(hypotheses), agreed)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgorl import se2
+from dgorl.expansion.bodies import slopes
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima
 from dgorl.optimization import native
 from dgorl.optimization.problem import DensePrior, Indices, Problem, RelativePoses, Scalars
@@ -19,7 +20,7 @@ from dgorl.se2 import Array
 SPACING = 10
 """Keyframes from one pose to the next."""
 
-TOLERANCE, ITERATIONS = 1e-2, 30
+TOLERANCE, ITERATIONS = 1e-2, 20
 """Largest last step [m, rad], and most linear systems solved for one optimum."""
 
 
@@ -68,12 +69,13 @@ def decimated(graph: ClusterGraph, poses: Array) -> Decimated:
     fixed = np.zeros(len(first_of), bool)
     fixed[anchor[np.flatnonzero(window.problem.fixed)]] = True
     p = window.problem
+    variance = _since_anchor(p, anchor, first_of)
     problem = Problem(
         slots=slots,
         fixed=fixed,
         initial=poses[first_of],
         odometry=_odometry(p, anchor, first_of),
-        scalars=tuple(_readings(s, anchor, offset) for s in p.scalars if len(s.i)),
+        scalars=tuple(_readings(_widened(s, variance, p.radio), anchor, offset) for s in p.scalars if len(s.i)),
         relative_poses=_relative(p.relative_poses, anchor, offset),
         priors=tuple(_prior(prior, anchor) for prior in p.priors if _stands(prior, first_of)),
         radio=p.radio,
@@ -107,6 +109,25 @@ def _odometry(p: Problem, anchor: Indices, first_of: Indices) -> tuple[Indices, 
         motion[rows] = se2.compose(motion[rows], delta[edge])
     weight = np.linalg.inv(covariance) if len(ends) else np.zeros((0, 3, 3))
     return into, anchor[j[ends]], motion, (weight + weight.swapaxes(-1, -2)) / 2
+
+
+def _since_anchor(p: Problem, anchor: Indices, first_of: Indices) -> Array:
+    """Variance of every whole pose's position (N,) that odometry has gathered since the coarse one [m²]."""
+    _, j, _, information = p.odometry
+    gathered = np.zeros(len(anchor))
+    if len(j):
+        gathered[j] = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)[:, :2].mean(axis=1)
+    total = np.cumsum(gathered)
+    return np.asarray(total - total[first_of][anchor])
+
+
+def _widened(s: Scalars, variance: Array, radio: tuple[float, float]) -> Scalars:
+    """Readings whose σ includes what odometry has gathered since the coarse poses of both ends."""
+    distance = s.value
+    if s.kind == "rssi":
+        distance = 10.0 ** ((radio[0] - s.value) / (10.0 * radio[1]))
+    slope = slopes(s.kind, distance, radio)
+    return replace(s, sigma=np.sqrt(s.sigma**2 + slope**2 * (variance[s.i] + variance[s.j])))
 
 
 def _readings(s: Scalars, anchor: Indices, offset: Array) -> Scalars:

@@ -17,6 +17,7 @@ from dgorl import _core, se2
 from dgorl.expansion.bodies import Drift, Sightings, body_graph
 from dgorl.expansion.candidates import Candidates, candidates
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima
+from dgorl.expansion.apart import apart
 from dgorl.expansion.compatibility import compatibility
 from dgorl.expansion.search import best_graphs
 from dgorl.optimization.problem import Indices
@@ -28,7 +29,10 @@ GRAPHS = 60
 MODES = 4
 """Places tried for a body that is re-seeded."""
 
-BEHIND = 12.0
+COMPARED = 60
+"""Drafts that are compared with one another."""
+
+BEHIND = 40.0
 """Drafts whose coarse log mass is this much below the best are not worth a full optimisation."""
 
 
@@ -193,14 +197,9 @@ def fitted(shapes: Shapes, drafts: Array, placed: list[int], known: int = 0) -> 
     free = np.arange(1, len(placed))
     logdet, covariance = graph.evidence(found.poses, free, free, np.tile(shapes.cluster.pi, (len(free), 1)))
     mass = -np.asarray(found.cost) - logdet / 2
-    keep = list(range(known))
-    best = float(np.max(mass))
-    for b in np.argsort(-mass, kind="stable").tolist():
-        if not mass[b] >= best - BEHIND:
-            break
-        if all(_differ(found.poses[a], found.poses[b], covariance[a]) for a in keep):
-            keep.append(b)
-    keep = keep[known:]
+    order = np.argsort(-mass[known:], kind="stable") + known
+    order = order[mass[order] >= np.max(mass) - BEHIND][:COMPARED]
+    keep = apart(found.poses[:, 1:], covariance, np.arange(known), order, len(order))
     better = drafts[keep].copy()
     better[:, placed] = found.poses[keep]
     return better
@@ -208,8 +207,3 @@ def fitted(shapes: Shapes, drafts: Array, placed: list[int], known: int = 0) -> 
 
 def _among(s: Sightings, role: Indices) -> Sightings:
     return s.renumbered(role[s.i], role[s.j], (role[s.i] >= 0) & (role[s.j] >= 0))
-
-
-def _differ(a: Array, b: Array, covariance: Array) -> bool:
-    difference = se2.between(a[1:], b[1:]).ravel()
-    return bool(difference @ np.linalg.solve(covariance, difference) > 3.0**2)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dgorl import se2
+from dgorl.expansion.apart import SAME, apart
 from dgorl.expansion.cluster_graph import Optima
 from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
@@ -16,11 +17,11 @@ from dgorl.window import Component
 BEAM = 8
 """Hypotheses kept about a cluster."""
 
-SAME = 3.0
-"""Hypotheses nearer than this Mahalanobis distance are one."""
-
 ALIVE = 14.0
 """Hypotheses whose log mass is this much below the best are dropped."""
+
+COARSE = 30.0
+"""The same where masses are those of a coarse graph."""
 
 BEARING, NEAR = 0.25, 5.0
 """Position σ up to which a place counts as one, as a share of the distance, which is taken to be at least so far [m]."""
@@ -61,15 +62,15 @@ class Cluster:
         return frozenset(self.hypotheses[0].component.tracks)
 
 
-def distinct(optima: Optima, limit: int = BEAM) -> Optima:
-    """The optima worth keeping, best first: at most ``limit``, none twice, none hopeless."""
-    return optima[_apart(optima, 0, limit)]
+def distinct(optima: Optima, limit: int = BEAM, alive: float = ALIVE) -> Optima:
+    """The optima worth keeping, best first: at most ``limit``, none twice, none ``alive`` below the best."""
+    return optima[_apart(optima, 0, limit, alive)]
 
 
 def fresh(known: Optima, found: Optima, limit: int) -> Optima:
     """Those of ``found`` that are none of the ``known``, best first, at most ``limit``, none twice, none hopeless."""
     count = len(known.mass)
-    return found[[b - count for b in _apart(both(known, found), count, limit)]]
+    return found[[b - count for b in _apart(both(known, found), count, limit, COARSE)]]
 
 
 def both(a: Optima, b: Optima) -> Optima:
@@ -77,24 +78,11 @@ def both(a: Optima, b: Optima) -> Optima:
     return Optima(*(np.concatenate(pair) for pair in zip(a.fields, b.fields, strict=True)))
 
 
-def _apart(optima: Optima, known: int, limit: int) -> list[int]:
-    """Indices from ``known`` on, best first, of optima nearer than Mahalanobis distance 3 to none better or known."""
+def _apart(optima: Optima, known: int, limit: int, alive: float) -> list[int]:
+    """Indices from ``known`` on, best first, of distinct optima that are none of those before ``known``."""
     order = np.argsort(-optima.mass[known:], kind="stable") + known
-    order = order[optima.mass[order] >= optima.mass.max() - ALIVE]
-    order = np.concatenate([np.arange(known), order])
-    keep: list[int] = []
-    taken = np.zeros(len(order), bool)
-    for row, b in enumerate(order.tolist()):
-        if taken[row] and b >= known:
-            continue
-        if b >= known:
-            if len(keep) == limit:
-                break
-            keep.append(b)
-        apart = se2.between(optima.relative[b, 1:], optima.relative[order[row:], 1:]).reshape(len(order) - row, -1)
-        information = np.linalg.inv(optima.covariance[b][3:, 3:])
-        taken[row:] |= np.einsum("bi,ij,bj->b", apart, information, apart) <= SAME**2
-    return keep
+    order = order[optima.mass[order] >= optima.mass.max() - alive]
+    return apart(optima.relative[:, 1:], optima.covariance[:, 3:, 3:], np.arange(known), order, limit)
 
 
 def probabilities(mass: Array) -> Array:

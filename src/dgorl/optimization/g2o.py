@@ -48,12 +48,13 @@ def optimize(problem: Problem, tolerance: float) -> tuple[Array, int, str]:
     done, poses = 0, read()
     for batch in BATCHES:
         optimizer.initialize_optimization()  # once a batch ended early, g2o goes on only after this
-        done += optimizer.optimize(batch)
+        ran = optimizer.optimize(batch)
+        done += ran
         before, poses = poses, read()
         moved = float(np.abs(poses - before).max())
         if moved < tolerance:
             return poses, done, "converged" if moved > 0 else "stalled"
-    return poses, done, "max_iterations"
+    return poses, done, "stalled" if ran < batch else "max_iterations"
 
 
 @cache

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgorl import se2
 from dgorl.configuration import Solver
 from dgorl.optimization import native
 from dgorl.optimization.constraints import Constraints
@@ -22,8 +23,14 @@ EXCESS = 1e-7
 """A bound counts as kept within this [m]; γ μ is driven below it."""
 STEP = 1e-9
 """Largest last step of an optimisation with multipliers [m, rad]: the excess is read off its optimum."""
-ROUNDS = 50
+ROUNDS = 100
 """At most this many dual steps."""
+PULL = 0.1
+"""Where the dual cannot rise: first information of factors that hold the poses to the last ones [1/m², 1/rad²] ..."""
+PULLS = 5
+"""... and how many times it may grow tenfold."""
+HOPELESS = 1e12
+"""No bound is worth a multiplier like this: they contradict one another."""
 GAMMA = 1e-3
 """First γ, in units of the dual's curvature; each round divides it by 100 ..."""
 HARMLESS = 0.05
@@ -56,26 +63,35 @@ def constrained(
     if not len(constraints) or constraints.values(plain.poses).max() <= 0:
         return Constrained(plain, np.zeros(len(constraints)), 0.0, 0.0, 0)
     dual = _Dual(problem, constraints, solver)
-    point, gamma, rounds = dual.point(np.zeros(len(constraints)), plain.poses), 0.0, 0
-    iterations, reason = plain.iterations, "max_iterations"
-    while rounds < ROUNDS:
-        rounds += 1
+    best = point = dual.point(np.zeros(len(constraints)), plain.poses)
+    iterations, reason, gamma, pull, rounds = plain.iterations, "max_iterations", 0.0, 0.0, 0
+    while reason == "max_iterations" and rounds < ROUNDS:
+        if pull:
+            dual = replace(dual, centre=point.poses, pull=pull)
+            point = dual.point(point.multipliers, point.poses)
         curvature = dual.curvature(point)
         scale = float(np.diag(curvature).max())
-        gamma = max(GAMMA * scale * 100.0 ** (1 - rounds), HARMLESS * EXCESS / max(point.multipliers.max(), EXCESS / scale))
+        harmless = HARMLESS * EXCESS / max(point.multipliers.max(), EXCESS / scale)
+        gamma = max(GAMMA * scale * 100.0**-rounds, harmless)
+        rounds += 1
         following = dual.step(point, curvature, gamma)
         if following is None:
-            reason = "stalled"
-            break
-        point = following
+            pull = max(10 * pull, PULL)
+            if pull >= PULL * 10.0**PULLS or not problem.fixed.any():
+                reason = "stalled"
+            continue
+        moved = float(np.abs(following.poses - point.poses).max())
+        point, pull = following, pull / 2 if pull > PULL / 100 else 0.0
         iterations += point.iterations
-        if point.unsettled(0.0) < EXCESS:
+        best = min(best, point, key=lambda p: p.unsettled(0.0))
+        if point.unsettled(0.0) < EXCESS and (not pull or pull * moved < EXCESS):
             reason = "converged"
-            break
-    cost = native.graph(problem).cost(point.poses)
-    covariance = native.covariance(problem, point.poses, select)
-    solution = Solution(point.poses, cost, iterations, reason, covariance)
-    return Constrained(solution, point.multipliers, float(max(point.excess.max(), 0.0)), gamma, rounds)
+        elif point.multipliers.max() > HOPELESS:
+            reason = "infeasible"
+    cost = native.graph(problem).cost(best.poses)
+    covariance = native.covariance(problem, best.poses, select)
+    solution = Solution(best.poses, cost, iterations, reason, covariance)
+    return Constrained(solution, best.multipliers, float(max(best.excess.max(), 0.0)), gamma, rounds)
 
 
 @dataclass(frozen=True)
@@ -94,18 +110,26 @@ class _Point:
         return float(np.where(self.multipliers > 0, np.abs(slope), np.maximum(slope, 0.0)).max())
 
 
+@dataclass(frozen=True)
 class _Dual:
-    """The dual function of μ, min over the poses of L: its values, its curvature, the paper's steps on it."""
+    """The dual function of μ, min over the poses of L: its values, its curvature, the paper's steps on it.
 
-    def __init__(self, problem: Problem, constraints: Constraints, solver: Solver) -> None:
-        self._problem, self._constraints, self._solver = problem, constraints, solver
+    With ``pull``, L has ½ pull |x − centre|² more: far from what the readings say, L alone may have no minimum
+    near, only a saddle. The centre follows the poses, so the optimum is the same.
+    """
+
+    problem: Problem
+    constraints: Constraints
+    solver: Solver
+    centre: Array | None = None
+    pull: float = 0.0
 
     def point(self, multipliers: Array, start: Array) -> _Point:
         """The dual at μ, the poses found from ``start``."""
-        weighted = replace(self._weighted(multipliers), initial=start)
-        found = solve(weighted, np.zeros(0, np.int64), STEP, self._solver)
-        lagrangian = found.cost - float(multipliers @ self._constraints.limit) / 2
-        return _Point(multipliers, found.poses, lagrangian, self._constraints.values(found.poses), found.iterations)
+        weighted = replace(self.weighted(multipliers), initial=start)
+        found = solve(weighted, np.zeros(0, np.int64), STEP, self.solver)
+        lagrangian = found.cost - float(multipliers @ self.constraints.limit) / 2
+        return _Point(multipliers, found.poses, lagrangian, self.constraints.values(found.poses), found.iterations)
 
     def curvature(self, point: _Point) -> Array:
         """∂c H⁻¹ ∂cᵀ (K, K) of the K bounds that are reached: minus the second derivative of the dual.
@@ -113,12 +137,12 @@ class _Dual:
         H with all second derivatives: with Gauss–Newton's, which suits readings that fit, ten rounds became fifty.
         """
         reached = _reached(point)
-        bounds = self._constraints[reached]
+        bounds = self.constraints[reached]
         gradients = np.zeros((len(reached), len(point.poses), 3))
         for end, part in ((bounds.i, slice(3)), (bounds.j, slice(3, 6))):
             gradients[np.arange(len(reached)), end] += bounds.gradients(point.poses)[:, part]
-        free = gradients[:, ~self._problem.fixed].reshape(len(reached), -1)
-        hessian, _ = native.graph(self._weighted(point.multipliers)).hessian(point.poses, exact=True)
+        free = gradients[:, ~self.problem.fixed].reshape(len(reached), -1)
+        hessian, _ = native.graph(self.weighted(point.multipliers)).hessian(point.poses, exact=True)
         return np.asarray(free @ np.linalg.solve(hessian, free.T))
 
     def step(self, point: _Point, curvature: Array, gamma: float) -> _Point | None:
@@ -145,16 +169,21 @@ class _Dual:
             length /= 2
         return None
 
-    def _weighted(self, multipliers: Array) -> Problem:
-        """The problem with the factors of μᵀc; bounds without a multiplier add none."""
+    def weighted(self, multipliers: Array) -> Problem:
+        """The problem with the factors of μᵀc, and those of the pull; bounds without a multiplier add none."""
         counted = np.flatnonzero(multipliers)
-        if not len(counted):
-            return self._problem
-        factors, known = self._constraints[counted].factors(multipliers[counted]), self._problem.relative_poses
-        if known is not None:
-            pairs = zip(vars(known).values(), vars(factors).values(), strict=True)
-            factors = RelativePoses(*(np.concatenate(pair) for pair in pairs))
-        return replace(self._problem, relative_poses=factors)
+        parts = [self.constraints[counted].factors(multipliers[counted])] if len(counted) else []
+        if self.centre is not None:
+            free, held = np.flatnonzero(~self.problem.fixed), np.flatnonzero(self.problem.fixed)[:1]
+            delta, still = se2.between(self.centre[held], self.centre[free]), np.zeros((len(free), 3))
+            pull = np.tile(self.pull * np.eye(3), (len(free), 1, 1))
+            parts.append(RelativePoses(np.repeat(held, len(free)), free, still, still, delta, pull))
+        if self.problem.relative_poses is not None:
+            parts.append(self.problem.relative_poses)
+        if not parts:
+            return self.problem
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return replace(self.problem, relative_poses=RelativePoses(*map(np.concatenate, columns)))
 
 
 def _reached(point: _Point) -> Indices:
