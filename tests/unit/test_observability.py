@@ -312,6 +312,21 @@ def test_spectral_rank_is_that_of_a_window_of_relative_positions(p: int) -> None
     assert 5 < sum(verdicts) < 35
 
 
+@pytest.mark.parametrize("p", [2, 3])
+def test_a_common_motion_is_all_the_spectral_matrix_leaves(p: int) -> None:
+    """p translations and the turn of all about the origin: δp = Jp, δθ = 1."""
+    rng = np.random.default_rng(0)
+    n = 4
+    edges, positions, velocities = connected(n, rng), rng.normal(size=(n, p)), rng.normal(size=(n, p))
+    matrix = spectral_matrix(edges, positions, velocities)
+    turned = np.zeros((n, p))
+    turned[:, 0], turned[:, 1] = -positions[:, 1], positions[:, 0]
+    np.testing.assert_allclose(matrix @ [*turned.ravel(), *np.ones(n)], 0.0, atol=1e-12)
+    for axis in np.eye(p):
+        np.testing.assert_allclose(matrix @ [*np.tile(axis, n), *np.zeros(n)], 0.0, atol=1e-12)
+    assert np.linalg.matrix_rank(matrix) == n * (p + 1) - (p + 1)
+
+
 def test_moving_edges_are_sufficient_component_by_component() -> None:
     edges = np.array([[0, 1], [2, 3]])
     rng = np.random.default_rng(0)

@@ -22,6 +22,10 @@ SHORTEST_BIN = 1.0
 """... but not finer than this [s]."""
 
 
+CORRELATED = 5.0
+"""Odometry noise, which neighbouring readings share, counts as that much independent variance in each."""
+
+
 @dataclass(frozen=True)
 class Sightings:
     """Thinned readings of one kind between bodies i and j (M,), of points (M, 3) in the frames of their bodies.
@@ -41,11 +45,6 @@ class Sightings:
     distance: Array
     slope: Array
     loss: Loss
-
-    def renumbered(self, i: Indices, j: Indices, keep: NDArray[np.bool_]) -> Sightings:
-        """Those kept, with their bodies numbered anew."""
-        rows = (self.point_i, self.point_j, self.height, self.value, self.sigma, self.distance, self.slope)
-        return Sightings(self.kind, i[keep], j[keep], *(row[keep] for row in rows), self.loss)
 
 
 @dataclass(frozen=True)
@@ -82,6 +81,7 @@ def sightings(
     lever = np.sum((poses[:, :2] - poses[noise.middle, :2]) ** 2, axis=1)
     variance = np.abs(noise.position - noise.position[noise.middle])
     variance += np.abs(noise.heading - noise.heading[noise.middle]) * lever / 2
+    variance *= CORRELATED
     found = []
     for s, stamp in zip(problem.scalars, stamps, strict=True):
         rows = np.flatnonzero((body[s.i] != body[s.j]) & (body[s.i] >= 0) & (body[s.j] >= 0))

@@ -45,8 +45,8 @@ RECENT = 20
 NODES = 2
 """Nodes in a row at which a relative pose has to be certain to be accepted."""
 
-DRAFTS, STARTS = 40, 4
-"""Candidate graphs that are optimised coarsely, and wholly, at a time."""
+DRAFTS, IMPROVED, STARTS = 30, 10, 4
+"""Candidate graphs that are optimised coarsely, more so, and wholly, at a time."""
 
 WARM = 8
 """Warm particles of the best hypothesis."""
@@ -177,7 +177,8 @@ def _rigid(union: Component, added: Sequence[Component]) -> Component:
 
 def _searched(graph: ClusterGraph, coarse: Decimated, optima: Optima | None, starts: Array) -> Optima:
     """The best of the optima and of what candidate graphs lead to: coarsely all of them, wholly the few best."""
-    found = coarse.optimize(starts[:DRAFTS])
+    tried = coarse.optimize(starts[:DRAFTS])
+    found = coarse.improve(distinct(tried, IMPROVED, np.inf))
     if optima is None:
         return distinct(graph.optimize(coarse.whole(distinct(found, STARTS, COARSE).poses)))
     new = fresh(coarse.optimize(optima.poses), found, STARTS)
@@ -190,7 +191,7 @@ def _with_new(step: Step, graph: ClusterGraph, starts: Array, fresh: list[int], 
     grown = []
     for start in starts[: max(STARTS // k, 1)]:
         shapes = drafts.shapes_of(graph, start, graph.drift(), step.seed)
-        found = drafts.complete(shapes, np.zeros((1, shapes.size, 3)), placed, k)
+        found = drafts.complete(shapes, np.zeros((1, shapes.size, 3)), np.zeros(1), placed, k)
         grown.append(shapes.starts(found))
     return np.concatenate(grown)[: 2 * STARTS]
 

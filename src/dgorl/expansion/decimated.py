@@ -46,6 +46,10 @@ class Decimated:
         """Optima of the coarse graph from whole starts (B, N, 3)."""
         return self.graph.optimize(self.coarse(starts), TOLERANCE, ITERATIONS)
 
+    def improve(self, found: Optima) -> Optima:
+        """Coarse optima taken further."""
+        return self.graph.optimize(found.poses, TOLERANCE, 2 * ITERATIONS)
+
 
 def decimated(graph: ClusterGraph, poses: Array) -> Decimated:
     """The coarse graph of a cluster whose trajectories have the shapes of ``poses`` (N, 3)."""

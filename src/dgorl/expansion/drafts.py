@@ -8,32 +8,24 @@ is placed anew, given the others: conditional re-seeding.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
-from dgorl import _core, se2
-from dgorl.expansion.bodies import Drift, Sightings, body_graph
+from dgorl import se2
+from dgorl.expansion.bodies import Drift, Sightings
 from dgorl.expansion.candidates import Candidates, candidates
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima
-from dgorl.expansion.apart import apart
 from dgorl.expansion.compatibility import compatibility
 from dgorl.expansion.search import best_graphs
-from dgorl.optimization.problem import Indices
 from dgorl.se2 import Array
 
-GRAPHS = 60
-"""Candidate graphs that A* hands over to be fitted coarsely."""
+GRAPHS = 20
+"""Candidate graphs that A* hands over."""
 
 MODES = 4
 """Places tried for a body that is re-seeded."""
-
-COMPARED = 60
-"""Drafts that are compared with one another."""
-
-BEHIND = 40.0
-"""Drafts whose coarse log mass is this much below the best are not worth a full optimisation."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +36,7 @@ class Shapes:
     poses: Array
     noise: Drift
     seed: tuple[int, ...]
-    found: list[Sightings] = field(default_factory=list)
-    graph: _core.Graph | None = None
+    found: list[Sightings]
 
     @property
     def radio(self) -> tuple[float, float]:
@@ -65,10 +56,8 @@ class Shapes:
 
 
 def shapes_of(cluster: ClusterGraph, poses: Array, noise: Drift, seed: tuple[int, ...]) -> Shapes:
-    """Shapes of poses (N, 3), with the graph that fits their places."""
-    found = cluster.sightings(cluster.body, poses, noise)
-    graph = body_graph(found, len(cluster.bodies), cluster.window.problem.radio)
-    return Shapes(cluster, poses, noise, seed, found, graph)
+    """Shapes of poses (N, 3) and what they have seen of one another."""
+    return Shapes(cluster, poses, noise, seed, cluster.sightings(cluster.body, poses, noise))
 
 
 def cold(shapes: Shapes, k: int) -> Array:
@@ -86,32 +75,37 @@ def cold(shapes: Shapes, k: int) -> Array:
         (a, b): compatibility(shapes.found, (members[a], members[b]), places[members[a]], places[members[b]], shapes.radio)
         for b in range(len(members)) for a in range(b)
     }  # fmt: skip
-    drafts = []
-    for _, chosen in islice(best_graphs(unary, pairwise), GRAPHS):
+    drafts, scores = [], []
+    for score, chosen in islice(best_graphs(unary, pairwise), GRAPHS):
         draft = np.zeros((shapes.size, 3))
         for j, c in zip(members, chosen, strict=True):
             draft[j] = places[j].poses[c]
         drafts.append(draft)
-    return complete(shapes, np.array(drafts), [reference, *members], k)
+        scores.append(score)
+    return complete(shapes, np.array(drafts), np.array(scores), [reference, *members], k)
 
 
-def complete(shapes: Shapes, drafts: Array, placed: list[int], k: int) -> Array:
-    """Drafts with the bodies not yet placed put where the others see them, each as often as it has places."""
+def complete(shapes: Shapes, drafts: Array, scores: Array, placed: list[int], k: int) -> Array:
+    """Drafts with the bodies not yet placed put where the others see them, each as often as it has places; best first.
+
+    scores: (B,) log masses of the drafts so far.
+    """
     placed = list(placed)
     waiting = [j for j in range(shapes.size) if j not in placed]
-    drafts = fitted(shapes, drafts, placed) if len(placed) > 1 else drafts
     while waiting:
         seen = {j: _links(shapes.found, j, placed) for j in waiting}
         j = max(waiting, key=lambda j: (seen[j], -j))
         waiting.remove(j)
-        grown = []
-        for draft in drafts[: max(GRAPHS // k, 1)]:
-            for pose in place(shapes, draft, placed, j, k).poses:
-                grown.append(draft.copy())
-                grown[-1][j] = pose
+        grown: list[tuple[float, Array]] = []
+        for draft, score in zip(drafts[: max(GRAPHS // k, 1)], scores, strict=False):
+            found = place(shapes, draft, placed, j, k)
+            for pose, mass in zip(found.poses, found.mass.tolist(), strict=True):
+                grown.append((score + mass, draft.copy()))
+                grown[-1][1][j] = pose
         placed.append(j)
         if grown:
-            drafts = fitted(shapes, np.array(grown), placed)
+            grown.sort(key=lambda item: -item[0])
+            scores, drafts = np.array([score for score, _ in grown]), np.array([draft for _, draft in grown])
     return drafts
 
 
@@ -137,17 +131,19 @@ def place(shapes: Shapes, draft: Array, placed: list[int], j: int, k: int, warm:
 def reseeded(shapes: Shapes) -> Array:
     """Drafts (B, m, 3) in which one body at a time stands elsewhere, given the others; shapes in one common frame."""
     here = np.zeros((shapes.size, 3))
-    drafts = [here]
+    drafts: list[tuple[float, Array]] = []
     for j in range(shapes.size):
         others = [b for b in range(shapes.size) if b != j]
-        for pose in place(shapes, here, others, j, MODES).poses:
+        found = place(shapes, here, others, j, MODES)
+        for pose, mass in zip(found.poses, found.mass - found.mass[:1], strict=True):
             draft = here.copy()
             draft[j] = pose
             if j == 0:  # body 0 is the gauge: the others move instead
                 draft = se2.between(np.broadcast_to(pose, draft.shape), here)
                 draft[0] = 0.0
-            drafts.append(draft)
-    return fitted(shapes, np.array(drafts), list(range(shapes.size)), known=1)
+            drafts.append((float(mass), draft))
+    drafts.sort(key=lambda item: -item[0])
+    return np.array([draft for _, draft in drafts]).reshape(-1, shapes.size, 3)
 
 
 def warm(shapes: Shapes, best: Optima, count: int) -> Array:
@@ -181,29 +177,3 @@ def mirrored(shapes: Shapes) -> Array:
     theta = se2.wrap(2 * (angle[0] - angle))
     moved = image - np.einsum("bij,bj->bi", se2.rotation(theta), middle)
     return np.column_stack([moved, theta])[None]
-
-
-def fitted(shapes: Shapes, drafts: Array, placed: list[int], known: int = 0) -> Array:
-    """Drafts improved coarsely, distinct ones alone, best first; bodies not placed stay where they are.
-
-    What the first ``known`` drafts lead to is left out.
-    """
-    role = np.full(shapes.size, -1)
-    role[placed] = np.arange(len(placed))
-    graph = shapes.graph
-    if len(placed) < shapes.size or graph is None:
-        graph = body_graph([_among(s, role) for s in shapes.found], len(placed), shapes.radio)
-    found = graph.optimize(drafts[:, placed], max_iterations=25, step_tolerance=1e-3)
-    free = np.arange(1, len(placed))
-    logdet, covariance = graph.evidence(found.poses, free, free, np.tile(shapes.cluster.pi, (len(free), 1)))
-    mass = -np.asarray(found.cost) - logdet / 2
-    order = np.argsort(-mass[known:], kind="stable") + known
-    order = order[mass[order] >= np.max(mass) - BEHIND][:COMPARED]
-    keep = apart(found.poses[:, 1:], covariance, np.arange(known), order, len(order))
-    better = drafts[keep].copy()
-    better[:, placed] = found.poses[keep]
-    return better
-
-
-def _among(s: Sightings, role: Indices) -> Sightings:
-    return s.renumbered(role[s.i], role[s.j], (role[s.i] >= 0) & (role[s.j] >= 0))

@@ -148,7 +148,7 @@ class _Dual:
     def step(self, point: _Point, curvature: Array, gamma: float) -> _Point | None:
         """μ⁺ = max(0, (1 − ηγ) μ + η c) with η the inverse of the dual's curvature, on the bounds that are reached.
 
-        With a number for η this creeps. With η = (∂c P ∂cᵀ + γ)⁻¹ it is Newton's step, and max(0, ·) is taken as the
+        With a number for η this creeps. With η = (∂c H⁻¹ ∂cᵀ + γ)⁻¹ it is Newton's step, and max(0, ·) is taken as the
         maximum of the dual's quadratic model over μ ≥ 0. The step is halved until the dual rises; None if it cannot.
         """
         rows = _reached(point)
