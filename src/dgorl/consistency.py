@@ -20,7 +20,7 @@ from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Window
 
 INTERVALS = (5.0, 10.0, 15.0)
-"""Odometry is tested this long before the node [s]."""
+"""Between these ages of theirs [s] at the node, the odometry steps bent most are tested."""
 
 CLIP = 9.0
 """A reading's squared normalised residual counts at most this much: a few outliers are no reason."""
@@ -61,17 +61,11 @@ def suspect(history: History, window: Window, poses: Array, g: float) -> Suspect
 
 def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
     """Odometry steps against the rest of the window."""
-    now = int(np.floor(g * KEYFRAMES_PER_SECOND))
-    i, _, delta, information = window.problem.odometry
-    edge = {int(k): row for row, k in enumerate(i)}
-    rows: list[tuple[TrackKey, int, int]] = []
-    for back in INTERVALS:
-        keyframe = now - int(back * KEYFRAMES_PER_SECOND)
-        for key, (offset, first, count) in window.layout.items():
-            if first <= keyframe and keyframe + 1 < first + count and keyframe > window.base:
-                rows.append((key, keyframe, offset + keyframe - first))
+    rows = _strained(window, poses, int(np.floor(g * KEYFRAMES_PER_SECOND)))
     if len(window.layout) < 2 or not rows:
         return []
+    _, _, delta, information = window.problem.odometry
+    edge = {int(k): row for row, k in enumerate(window.problem.odometry[0])}
     at = np.array([index for _, _, index in rows])
     joint = native.covariance(window.problem, poses, np.concatenate([at, at + 1]))
     found = []
@@ -85,6 +79,25 @@ def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
         posterior = joint[b, b] - cross - cross.T + back @ joint[a, a] @ back.T
         found.append(Suspect(key, keyframe, _drop(u, np.linalg.inv(information[row]), posterior) / chi2_limit(3)))
     return found
+
+
+def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, int, int]]:
+    """Each track's odometry step that the window bends most, in each interval: track, keyframe, index of its pose."""
+    i, j, delta, information = window.problem.odometry
+    u = se2.between(delta, se2.between(poses[i], poses[j]))
+    strain = np.full(len(poses), -np.inf)
+    strain[i] = np.einsum("ka,kab,kb->k", u, information, u)
+    rows = []
+    for key, (offset, first, count) in window.layout.items():
+        until = now
+        for back in INTERVALS:
+            since, begin = now - int(back * KEYFRAMES_PER_SECOND), max(first, window.base + 1)
+            steps = strain[offset + max(since, begin) - first : offset + min(until, first + count - 1) - first]
+            if len(steps):
+                keyframe = max(since, begin) + int(np.argmax(steps))
+                rows.append((key, keyframe, offset + keyframe - first))
+            until = since
+    return rows
 
 
 def _drop(u: Array, q: Array, c: Array) -> float:

@@ -7,11 +7,24 @@ from itertools import combinations
 
 import numpy as np
 
-from dgorl.configuration import Limits
+from dgorl.configuration import Configuration, Limits
 from dgorl.optimization.constraints import Constraints, box, disc, distances, together
-from dgorl.optimization.problem import Indices
+from dgorl.optimization.lagrangian import constrained
+from dgorl.optimization.problem import Indices, Solution
+from dgorl.optimization.solver import solve
 from dgorl.tracks import KEYFRAMES_PER_SECOND
 from dgorl.window import Window
+
+
+def optimum(configuration: Configuration, window: Window, select: Indices, tolerance: float) -> Solution:
+    """A window's optimum within the limits, by the configured solver, and the covariance of selected poses.
+
+    Raises ValueError when the graph leaves a pose undetermined.
+    """
+    if configuration.limits == Limits():
+        return solve(window.problem, select, tolerance, configuration.solver)
+    bounds = constraints(configuration.limits, window)
+    return constrained(window.problem, bounds, select, tolerance, configuration.solver).solution
 
 
 def constraints(limits: Limits, window: Window) -> Constraints:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgorl.history import WORLD_KEY, History
+from dgorl.limits import optimum
 from dgorl.optimization import native
-from dgorl.optimization.solver import solve
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import WORLD_STRETCH, Component, Prior, Stretch, Window, assemble
@@ -34,7 +34,7 @@ def settled(history: History, component: Component, low: float, g: float, bounda
     """
     pin = None if boundary == -np.inf else int(boundary * KEYFRAMES_PER_SECOND)
     window = assemble(history, component, low, g, pin)
-    solution = solve(window.problem, np.zeros(0, np.int64), TOLERANCE, history.configuration.solver)
+    solution = optimum(history.configuration, window, np.zeros(0, np.int64), TOLERANCE)
     priors = component.priors
     if pin is not None and pin > window.base:
         priors = marginalized(window, solution.poses, pin)
@@ -51,14 +51,16 @@ def without(history: History, component: Component, robot: TrackKey, low: float,
         for key, stretch in component.stretches.items()
         if key == WORLD_KEY or stretch.first < keyframe
     }
-    before = Component(cut, component.priors, component.links)
+    priors = tuple(
+        p for p in component.priors if p.keyframe <= keyframe and {p.reference, *p.members} <= cut.keys()
+    )
     limit = keyframe / KEYFRAMES_PER_SECOND
     inside = tuple(
         link for link in component.links
         if {link.reference, link.robot} <= cut.keys() and max(link.stamp_reference, link.stamp_robot) < limit
     )  # fmt: skip
-    window = assemble(history, Component(before.stretches, before.priors, inside), low, limit, keyframe)
-    solution = solve(window.problem, np.zeros(0, np.int64), TOLERANCE, history.configuration.solver)
+    window = assemble(history, Component(cut, priors, inside), low, limit, keyframe)
+    solution = optimum(history.configuration, window, np.zeros(0, np.int64), TOLERANCE)
     priors = marginalized(window, solution.poses, keyframe, robot)
     found = {key: s for key, s in stretches(window, solution.poses, keyframe).items() if key != robot}
     return Component(found, priors)

@@ -2,7 +2,12 @@
 
 S is the Fisher information of the newest poses, odometry the only structure between them: no prior, no known start.
 Poses known by noisy odometry make it too large, for noise bends trajectories as if they were driven. So bend them once
-more, by odometry noise drawn anew: what that adds is what the noise had added already, about.
+more, by odometry noise drawn anew: what that adds is what the noise had added already, about. Lengths are in median
+ranges, so that teams near and far compare.
+
+What blunt readings say of a weak motion is spread over the whole window, where the slow drift of odometry bends most.
+Whether a motion was *driven* shows in its quick turns, which stand out of the noise. ``margin`` therefore looks at it
+as if readings were as sharp as a step of odometry, where the Schur complement discounts drift.
 """
 
 from __future__ import annotations
@@ -13,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgorl import _core, se2
-from dgorl.observability import bars
+from dgorl.observability import Bars, bars
 from dgorl.optimization import native
 from dgorl.optimization.problem import Indices, Loss, Problem, RelativePoses
 from dgorl.se2 import Array
@@ -21,8 +26,8 @@ from dgorl.se2 import Array
 RESAMPLES = 6
 """How often the odometry is drawn anew."""
 
-FLOOR = 1e-6
-"""Information below this counts as none [1/m²]: σ of a kilometre."""
+FLOOR = 1e-4
+"""Information below this counts as none: σ of a hundred median ranges."""
 
 STIFF = 1e6
 """Information of a link that only carries a pose on to the window's end [1/m², 1/rad²]."""
@@ -32,8 +37,8 @@ STIFF = 1e6
 class Weakness:
     """A motion of the team its measurements do not resolve.
 
-    information: along it, debiased [1/m²], ≤ 0 where noise explains all there is. motion: (3,) a robot, along x and y
-    of its own current body frame [m] and heading × ``scale`` [m], of unit norm together; the reference stands still.
+    information: along it, debiased, ≤ 0 where noise explains all there is. motion: (3,) a robot, along x and y of its own
+    current body frame [``scale``] and heading [rad], of unit norm together; the reference stands still.
     """
 
     information: float
@@ -51,10 +56,11 @@ class Weakness:
 class Excitation:
     """Whether the measurements of a window alone determine the relative poses of a team.
 
-    information: S_bc (3(n−1), 3(n−1)) of the others' poses seen from ``names[0]``, right perturbations, heading ×
-    ``scale`` [1/m²]. smallest: λ_min(S_bc) [1/m²]. margin: that of S_bc relative to the mean S of the resamplings,
-    without unit, below 1, of the same sign: the share of the weakest information that is no artefact. Compare margins,
-    not ``smallest``, between geometries.
+    information: S_bc (3(n−1), 3(n−1)) of the others' poses seen from ``names[0]``, right perturbations, lengths in
+    ``scale`` [m], the median range. smallest: λ_min(S_bc); 1 tells bearings to a radian. margin: λ_min of S_bc relative
+    to the mean S of the resamplings, both with readings as sharp as a step of odometry: from −1 to 1, about the share of
+    the weakest information that is no artefact. It asks whether the motion was driven, ``smallest`` how much the
+    measurements made of it.
     """
 
     names: tuple[str, ...]
@@ -90,23 +96,35 @@ def excited(
     count = 3 * (len(current) - 1)
     if count <= 0:
         return Excitation(tuple(names), np.zeros((0, 0)), 1.0, np.inf, 1.0, ())
-    scale = bars(free, poses, current).scale
-    units = np.tile([1.0, 1.0, 1.0 / scale], len(current) - 1)
-    units = np.outer(units, units)
-    head = Heads(free, current)
+    ranges = bars(free, poses, current)
+    units = np.tile([ranges.scale, ranges.scale, 1.0], len(current) - 1)
+    heads = Heads(free, current), Heads(free, current, sharper(free, ranges))
     chains = Chains(free, poses, current, np.random.default_rng(seed))
-    once = head.information(poses) * units
-    again = np.mean([head.information(chains.draw()) for _ in range(resamples)], axis=0) * units
-    debiased = 2 * once - again
+    drawn = [chains.draw() for _ in range(resamples)]
+    (debiased, _), (sharp, noisy) = (_debiased(head, poses, drawn, np.outer(units, units)) for head in heads)
     values, vectors = np.linalg.eigh(debiased)
-    root = np.linalg.inv(np.linalg.cholesky(again + (FLOOR + 1e-12 * np.trace(again)) * np.eye(count)))
-    margin = float(np.linalg.eigvalsh(root @ debiased @ root.T)[0])
+    root = np.linalg.inv(np.linalg.cholesky(noisy + (FLOOR + 1e-12 * np.trace(noisy)) * np.eye(count)))
+    margin = float(np.linalg.eigvalsh(root @ sharp @ root.T)[0])
     weak = tuple(
         Weakness(float(values[k]), dict(zip(names[1:], vectors[:, k].reshape(-1, 3), strict=True)))
         for k in range(count)
         if values[k] <= FLOOR
     )
-    return Excitation(tuple(names), debiased, scale, float(values[0]), margin, weak)
+    return Excitation(tuple(names), debiased, ranges.scale, float(values[0]), margin, weak)
+
+
+def _debiased(head: Heads, poses: Array, drawn: Sequence[Array], units: Array) -> tuple[Array, Array]:
+    """S_bc, and the mean S of the trajectories drawn."""
+    mean = np.mean([head.information(x) for x in drawn], axis=0)
+    return (2 * head.information(poses) - mean) * units, mean * units
+
+
+def sharper(problem: Problem, ranges: Bars) -> float:
+    """How many times more a range as sharp as a step of odometry would tell than the median one; at least once."""
+    if not len(ranges.i):
+        return 1.0
+    step = np.linalg.inv(problem.odometry[3])[:, :2, :2].trace(axis1=1, axis2=2).mean() / 2
+    return max(1.0, 1.0 / (float(np.median(ranges.weight)) * float(step)))
 
 
 def measured(problem: Problem) -> Problem:
@@ -121,10 +139,15 @@ def measured(problem: Problem) -> Problem:
 
 
 class Heads:
-    """Every robot's newest pose carried on, unchanged, to a slot after the window, where the Schur complement ends."""
+    """Every robot's newest pose carried on, unchanged, to a slot after the window, where the Schur complement ends.
 
-    def __init__(self, problem: Problem, current: Indices) -> None:
+    sharper: counts what was measured as this many times the information. Scaling all of it scales S, so that odometry is
+    blunted instead, whatever the sensors.
+    """
+
+    def __init__(self, problem: Problem, current: Indices, sharper: float = 1.0) -> None:
         i, j, _, information = problem.odometry
+        self._sharper = sharper
         slot = problem.slots[current]
         end = int(slot.max()) + 1
         self._problem, size = problem, len(problem.slots)
@@ -144,7 +167,7 @@ class Heads:
         self._fixed[:size] = problem.slots < 0
         self._i, self._j = np.concatenate([i, extra[0]]), np.concatenate([j, extra[1]])
         stiff = np.broadcast_to(STIFF * np.eye(3), (extra.shape[1], 3, 3))
-        self._information = np.concatenate([information, stiff])
+        self._information = np.concatenate([information / sharper, stiff])
 
     def information(self, poses: Array) -> Array:
         """S (3(n−1), 3(n−1)) at poses (N, 3): of all robots but the first, which is held still."""
@@ -157,7 +180,7 @@ class Heads:
             odometry=(self._i, self._j, delta, self._information),
         )
         _, information, _ = native.graph(problem).marginalize(at, self._end)
-        information = np.asarray(information)[3:, 3:]
+        information = self._sharper * np.asarray(information)[3:, 3:]
         return (information + information.T) / 2
 
 

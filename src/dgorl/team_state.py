@@ -9,8 +9,8 @@ import numpy as np
 
 from dgorl import _core
 from dgorl.history import WORLD_KEY, History
+from dgorl.limits import optimum
 from dgorl.optimization.problem import Indices, Solution
-from dgorl.optimization.solver import solve
 from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, Window, assemble
@@ -47,8 +47,9 @@ def team_state(history: History, component: Component, low: float, now: float) -
     Raises ValueError when the graph leaves a pose undetermined.
     """
     window = assemble(history, component, low, now, None)
-    solver = history.configuration.solver
-    return joint_now(history, window, now, lambda select: solve(window.problem, select, TOLERANCE, solver))
+    return joint_now(
+        history, window, now, lambda select: optimum(history.configuration, window, select, TOLERANCE)
+    )
 
 
 def joint_now(history: History, window: Window, now: float, solve: Callable[[Indices], Solution]) -> TeamState:
