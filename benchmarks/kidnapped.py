@@ -29,7 +29,7 @@ ROBOT = "r2"
 
 
 def trial(seed: int, scenario: Scenario, at: float) -> Mapping[str, Array]:
-    """Per pair with the robot: delay until it is gone [s], until it is back for good [s], wrong ticks; others' breaks."""
+    """Per pair with the robot: delay until gone, until back for good [s], wrong ticks; others called inconsistent."""
     log = simulate(replace(scenario, seed=seed))
     base = merge(Configuration(), log.configuration, "the simulated log")
     records = collect(replay(log, base, initial="unknown"), log.truth)
@@ -71,7 +71,8 @@ def main() -> None:
     print(f"gone within 15 s: {100 * np.mean(gone <= 15):.1f} % (required: all); median {np.median(gone):.1f} s,"
           f" slowest {gone.max():.1f} s")  # fmt: skip
     print(f"back before the end: {100 * np.mean(np.isfinite(back)):.1f} % (required: all);"
-          f" for good after {np.median(back):.1f} s (median), {np.quantile(back, 0.9, method='lower'):.1f} s (90 %)")  # fmt: skip
+          f" for good after {np.median(back):.1f} s (median),"
+          f" {np.quantile(back, 0.9, method='lower'):.1f} s (90 %)")  # fmt: skip
     print(f"ticks called located while wrong, a pair: {np.mean(np.concatenate([t['wrong'] for t in trials])):.2f}")
     print(f"pairs without {ROBOT} that were called inconsistent: {np.mean([t['others'][0] / 12 for t in trials]):.3f}")
     slow = [seed for seed, t in zip(seeds, trials, strict=True) if (t["gone"] > 15).any() or np.isinf(t["back"]).any()]

@@ -16,8 +16,8 @@ constexpr double kQuantiles[] = {0.0,   -0.792, 0.792, -1.465,
                                  1.465, -0.366, 0.366};  // of N(0, 1), at (k + 1/2) / 7
 constexpr std::size_t kFits = 24, kCompared = 8 * kFits;
 constexpr double kNeighbourhood = 0.3, kTurn = 0.4;  // share of the distance; [rad]
-constexpr double kSame = 3.0, kHopeless = 20.0;
-const Options kCoarse{25, 1e-3, 1e-6};
+constexpr double kSame = 3.0, kHopeless = 40.0;
+const Options kCoarse{15, 1e-2, 1e-6};
 
 std::vector<std::size_t> order_by(const std::vector<double>& key, bool descending) {
   std::vector<std::size_t> order(key.size());

@@ -120,22 +120,6 @@ class History:
         tracks = (track for trail in self.trails.values() for track in trail.tracks)
         return min((track.core.next(after) for track in tracks), default=inf)
 
-    def linked(self, a: Track, b: Track) -> bool:
-        """Whether measurements link two tracks, over others if need be, since both began."""
-        begin = {a.key.robot: a.key.begin, b.key.robot: b.key.begin}
-        reached, edges = {a.key.robot}, set()
-        for table in self.tables.values():
-            rows, names = table.between(-inf, inf), table.names()
-            edges |= {
-                pair for pair, stamp in zip(names, rows.stamp, strict=True)
-                if stamp >= max(begin.get(pair[0], -inf), begin.get(pair[1], -inf))
-            }  # fmt: skip
-        while True:
-            more = {y for x, y in (*edges, *((q, p) for p, q in edges)) if x in reached} - reached
-            if not more:
-                return b.key.robot in reached
-            reached |= more
-
     def antenna(self, robot: str) -> tuple[float, float, float]:
         """Where a robot's antenna stands in its body frame [m]."""
         antennas = self.configuration.antennas

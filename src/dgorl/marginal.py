@@ -42,7 +42,7 @@ def settled(history: History, component: Component, low: float, g: float, bounda
 
 
 def without(history: History, component: Component, robot: TrackKey, low: float, keyframe: int) -> Component:
-    """The component's other members at ``keyframe``, with all that was known until then, ``robot`` included, as a prior.
+    """The component's other members at ``keyframe``, all that was known until then, ``robot``'s part too, as a prior.
 
     component: as it was before; it has to know the keyframe. Raises ValueError when a pose is undetermined.
     """
@@ -51,9 +51,7 @@ def without(history: History, component: Component, robot: TrackKey, low: float,
         for key, stretch in component.stretches.items()
         if key == WORLD_KEY or stretch.first < keyframe
     }
-    priors = tuple(
-        p for p in component.priors if p.keyframe <= keyframe and {p.reference, *p.members} <= cut.keys()
-    )
+    priors = tuple(p for p in component.priors if p.keyframe <= keyframe and {p.reference, *p.members} <= cut.keys())
     limit = keyframe / KEYFRAMES_PER_SECOND
     inside = tuple(
         link for link in component.links

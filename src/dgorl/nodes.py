@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 from math import ceil, floor, inf
 
 from dgorl.consistency import Suspect, suspect
-from dgorl.expansion.clusters import SPACING, advance
+from dgorl.expansion.clusters import advance
 from dgorl.expansion.hypotheses import Cluster
+from dgorl.expansion.step import SPACING
 from dgorl.history import History
 from dgorl.marginal import settled, without
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
@@ -112,7 +113,7 @@ class Memo:
                     since[seen.key] = seen.since / KEYFRAMES_PER_SECOND
         broken = {key for key, seen in suspects.items() if seen.nodes >= BREAK}
         clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
-        components, clusters = advance(self._history, clusters, found, since, low, g, boundary)
+        components, clusters = advance(self._history, clusters, found, since, g, boundary)
         suspects = {key: seen for key, seen in suspects.items() if key not in broken}
         return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects)
 

@@ -29,16 +29,19 @@ RESAMPLES = 6
 FLOOR = 1e-4
 """Information below this counts as none: σ of a hundred median ranges."""
 
+ROUNDING = 1e-10
+"""Information below this share of the largest is rounding."""
+
 STIFF = 1e6
-"""Information of a link that only carries a pose on to the window's end [1/m², 1/rad²]."""
+"""Information of a link that only carries a pose on to the window's end [1/m², 1/rad²]; no reading is sharper."""
 
 
 @dataclass(frozen=True)
 class Weakness:
     """A motion of the team its measurements do not resolve.
 
-    information: along it, debiased, ≤ 0 where noise explains all there is. motion: (3,) a robot, along x and y of its own
-    current body frame [``scale``] and heading [rad], of unit norm together; the reference stands still.
+    information: along it, debiased, ≤ 0 where noise explains all there is. motion: (3,) a robot, along x and y of its
+    own current body frame [``scale``] and heading [rad], of unit norm together; the reference stands still.
     """
 
     information: float
@@ -57,10 +60,10 @@ class Excitation:
     """Whether the measurements of a window alone determine the relative poses of a team.
 
     information: S_bc (3(n−1), 3(n−1)) of the others' poses seen from ``names[0]``, right perturbations, lengths in
-    ``scale`` [m], the median range. smallest: λ_min(S_bc); 1 tells bearings to a radian. margin: λ_min of S_bc relative
-    to the mean S of the resamplings, both with readings as sharp as a step of odometry: from −1 to 1, about the share of
-    the weakest information that is no artefact. It asks whether the motion was driven, ``smallest`` how much the
-    measurements made of it.
+    ``scale`` [m], the median range. smallest: λ_min(S_bc), 1 for σ of a median range and a radian. margin: λ_min of
+    S_bc relative to the mean S of the resamplings, both with readings as sharp as a step of odometry: below 1, the
+    share of the weakest information that is no artefact. It asks whether the motion was driven, ``smallest`` what the
+    measurements make of it: their signs can differ.
     """
 
     names: tuple[str, ...]
@@ -103,8 +106,9 @@ def excited(
     drawn = [chains.draw() for _ in range(resamples)]
     (debiased, _), (sharp, noisy) = (_debiased(head, poses, drawn, np.outer(units, units)) for head in heads)
     values, vectors = np.linalg.eigh(debiased)
-    root = np.linalg.inv(np.linalg.cholesky(noisy + (FLOOR + 1e-12 * np.trace(noisy)) * np.eye(count)))
-    margin = float(np.linalg.eigvalsh(root @ sharp @ root.T)[0])
+    total, axes = np.linalg.eigh(noisy)
+    unit = axes / np.sqrt(np.maximum(total, 0.0) + FLOOR + ROUNDING * total[-1])
+    margin = float(np.linalg.eigvalsh(unit.T @ sharp @ unit)[0])
     weak = tuple(
         Weakness(float(values[k]), dict(zip(names[1:], vectors[:, k].reshape(-1, 3), strict=True)))
         for k in range(count)
@@ -123,8 +127,9 @@ def sharper(problem: Problem, ranges: Bars) -> float:
     """How many times more a range as sharp as a step of odometry would tell than the median one; at least once."""
     if not len(ranges.i):
         return 1.0
-    step = np.linalg.inv(problem.odometry[3])[:, :2, :2].trace(axis1=1, axis2=2).mean() / 2
-    return max(1.0, 1.0 / (float(np.median(ranges.weight)) * float(step)))
+    steps = np.linalg.inv(problem.odometry[3])[:, :2, :2].trace(axis1=1, axis2=2) / 2
+    sharp = min(1.0 / float(np.median(steps)), STIFF)
+    return max(1.0, sharp / float(np.median(ranges.weight)))
 
 
 def measured(problem: Problem) -> Problem:
@@ -141,8 +146,8 @@ def measured(problem: Problem) -> Problem:
 class Heads:
     """Every robot's newest pose carried on, unchanged, to a slot after the window, where the Schur complement ends.
 
-    sharper: counts what was measured as this many times the information. Scaling all of it scales S, so that odometry is
-    blunted instead, whatever the sensors.
+    sharper: counts what was measured as this many times the information. S scales with all there is, so that blunting
+    odometry instead serves every sensor.
     """
 
     def __init__(self, problem: Problem, current: Indices, sharper: float = 1.0) -> None:
@@ -167,7 +172,7 @@ class Heads:
         self._fixed[:size] = problem.slots < 0
         self._i, self._j = np.concatenate([i, extra[0]]), np.concatenate([j, extra[1]])
         stiff = np.broadcast_to(STIFF * np.eye(3), (extra.shape[1], 3, 3))
-        self._information = np.concatenate([information / sharper, stiff])
+        self._information = np.concatenate([information, stiff]) / sharper
 
     def information(self, poses: Array) -> Array:
         """S (3(n−1), 3(n−1)) at poses (N, 3): of all robots but the first, which is held still."""

@@ -47,9 +47,7 @@ def team_state(history: History, component: Component, low: float, now: float) -
     Raises ValueError when the graph leaves a pose undetermined.
     """
     window = assemble(history, component, low, now, None)
-    return joint_now(
-        history, window, now, lambda select: optimum(history.configuration, window, select, TOLERANCE)
-    )
+    return joint_now(history, window, now, lambda select: optimum(history.configuration, window, select, TOLERANCE))
 
 
 def joint_now(history: History, window: Window, now: float, solve: Callable[[Indices], Solution]) -> TeamState:

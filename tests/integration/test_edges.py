@@ -41,13 +41,17 @@ def test_one_robot_knows_only_the_world():
     np.testing.assert_allclose(se2.inverse(estimate[WORLD].pose), [6.0, 2.0, 0.0], atol=1e-6)
 
 
-def test_without_starts_peers_are_ambiguous_or_isolated_and_have_no_pose():
+def test_without_starts_peers_are_ambiguous_with_their_places_or_isolated_without_a_pose():
     odometry = [*drive("r1", 0, 10), *drive("r2", 0, 10), *drive("r3", 0, 10)]
     estimate = localizer_with("r1", [*odometry, *ranges("r1", "r2", 0.5, 10, 4.0)]).update(10.0)
     assert estimate["r2"].status == Status.AMBIGUOUS
     assert estimate["r3"].status == Status.ISOLATED
+    places = estimate["r2"].hypotheses
+    assert len(places) > 1
+    assert sum(place.probability for place in places) == pytest.approx(1.0)
+    np.testing.assert_array_equal(estimate["r2"].pose, places[0].pose)
+    assert estimate["r3"].pose is None
     for peer in ("r2", "r3"):
-        assert estimate[peer].pose is None
         assert estimate[peer].reason
         assert estimate[peer].resolve_by
 

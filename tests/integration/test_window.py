@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dgorl.history import History
-from dgorl.measurements import WORLD, RelativePose
 from dgorl.marginal import marginalized, stretches
+from dgorl.measurements import WORLD, RelativePose
 from dgorl.optimization import native
 from dgorl.window import Component, assemble, grow
 from tests.integration.teams import everything, settings, simulated

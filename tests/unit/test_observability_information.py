@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from dgorl import se2
+from dgorl.configuration import Motion
 from dgorl.observability import bars
-from dgorl.observability_information import Chains, Excitation, Heads, excited, measured
+from dgorl.observability_information import Chains, Excitation, Heads, excited, measured, sharper
 from dgorl.optimization import native
 from dgorl.optimization.problem import DensePrior, Problem, RelativePoses
 
@@ -47,6 +48,34 @@ def test_information_is_what_the_dense_hessian_gives(benchmark: ModuleType) -> N
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
 
 
+def test_blunting_odometry_is_sharpening_what_was_measured(benchmark: ModuleType) -> None:
+    problem, poses, current, _ = team(benchmark, "random")
+    (s,) = problem.scalars
+    sharp = replace(problem, scalars=(replace(s, sigma=s.sigma / 5),))
+    found, wanted = Heads(measured(problem), current, 25.0).information(poses), by_dense_schur(sharp, poses, current)
+    wanted = np.linalg.inv(wanted)
+    np.testing.assert_allclose(np.linalg.inv(found), wanted, rtol=0, atol=1e-3 * wanted.max())
+
+
+def test_the_margin_asks_how_robots_moved_whatever_the_sensor(benchmark: ModuleType) -> None:
+    """The same ranges 10 × as blunt: less is known, the motion was driven as much."""
+    problem, poses, current, names = team(benchmark, "random")
+    (s,) = problem.scalars
+    blunt = replace(problem, scalars=(replace(s, sigma=10 * s.sigma),))
+    one, other = excited(problem, poses, current, names), excited(blunt, poses, current, names)
+    assert one.smallest > 3 * other.smallest > 0
+    assert one.margin == pytest.approx(other.margin, abs=1e-3)
+
+
+def test_readings_count_as_a_step_of_odometry_and_never_less_than_they_do(benchmark: ModuleType) -> None:
+    problem, poses, current, _ = team(benchmark, "random")
+    (s,) = problem.scalars
+    position = np.linalg.inv(problem.odometry[3])[:, [0, 1], [0, 1]].mean(axis=1)
+    assert sharper(problem, bars(problem, poses, current)) == pytest.approx(0.1**2 / np.median(position))
+    for sharp in (replace(problem, scalars=(replace(s, sigma=s.sigma / 1000),)), replace(problem, scalars=())):
+        assert sharper(sharp, bars(sharp, poses, current)) == 1.0
+
+
 def test_a_robot_whose_data_is_late_is_carried_on(benchmark: ModuleType) -> None:
     """Without r3's last four keyframes: the Schur complement onto its last known one."""
     problem, poses, current, _ = team(benchmark, "random")
@@ -75,15 +104,15 @@ def test_debiasing_takes_off_what_resampled_odometry_adds(benchmark: ModuleType)
     """One formula, recomputed: S_bc = 2 S(X̂) − mean S(X̂^(m)); sure odometry adds nothing, noisy odometry does."""
     problem, poses, current, names = team(benchmark, "parallel")
     found = excited(problem, poses, current, names, seed=9)
-    units = np.tile([1.0, 1.0, 1.0 / found.scale], 2)
+    units = np.tile([found.scale, found.scale, 1.0], 2)
     once = by_dense_schur(problem, poses, current) * np.outer(units, units)
     assert np.linalg.eigvalsh(once)[0] == pytest.approx(0.0, abs=1e-6)
     chains = Chains(measured(problem), poses, current, np.random.default_rng(9))
     drawn = [by_dense_schur(problem, chains.draw(), current) * np.outer(units, units) for _ in range(6)]
-    assert np.linalg.eigvalsh(np.mean(drawn, axis=0))[0] > 1e-3  # false information
+    assert np.linalg.eigvalsh(np.mean(drawn, axis=0))[0] > 1.0  # false information
     wanted = 2 * once - np.mean(drawn, axis=0)
     np.testing.assert_allclose(found.information, wanted, rtol=0, atol=5e-3 * np.abs(wanted).max())
-    assert found.smallest < -1e-4
+    assert found.smallest < -1.0
     assert not found.excited
     i, j, delta, information = problem.odometry
     sure = replace(problem, odometry=(i, j, delta, 1e6 * information))
@@ -97,8 +126,30 @@ def test_drawn_trajectories_have_the_odometrys_noise_and_end_where_they_did(benc
     drawn = [chains.draw() for _ in range(200)]
     for trajectory in drawn:
         np.testing.assert_array_equal(trajectory[current], poses[current])
-    error = np.array([se2.log(se2.between(delta, se2.between(x[i], x[j]))) for x in drawn]).reshape(-1, 3)
-    np.testing.assert_allclose(np.cov(error.T), np.linalg.inv(information[0]), atol=5e-4)
+    error = np.array([se2.log(se2.between(delta, se2.between(x[i], x[j]))) for x in drawn])
+    white = np.einsum("kji,mkj->mki", np.linalg.cholesky(information), error).reshape(-1, 3)
+    np.testing.assert_allclose(np.cov(white.T), np.eye(3), atol=0.06)
+
+
+@pytest.mark.parametrize("noise", ["wheels", "paper"])
+def test_odometry_of_the_benchmark_errs_as_much_as_it_claims(benchmark: ModuleType, noise: str) -> None:
+    """Half of the robots stand. Wheels: METHOD §1 by the configuration's defaults; paper: as the simulator."""
+    setting = benchmark.Setting("range", 20, 40, noise=noise)
+    rng = np.random.default_rng(0)
+    truth = benchmark.random_walk(setting, rng)
+    truth[10:] = truth[10:, :1]
+    problem, _ = benchmark.window(setting, truth, rng)
+    i, j, delta, information = problem.odometry
+    step = se2.between(truth.reshape(-1, 3)[i], truth.reshape(-1, 3)[j])
+    white = np.einsum("kji,kj->ki", np.linalg.cholesky(information), se2.log(se2.between(step, delta)))
+    for part in np.split(white, 2):
+        np.testing.assert_allclose((part**2).mean(axis=0), 1.0, atol=0.2)
+    variance = np.linalg.inv(information).diagonal(axis1=1, axis2=2)
+    m = Motion()
+    turn, way = np.abs(step[:, 2]), np.hypot(*step[:, :2].T)
+    heading = m.heading_per_second**2 / 2 + m.heading_per_radian**2 * turn + m.heading_per_metre**2 * way
+    paper = np.where(step.any(axis=1), np.radians(0.5), 1e-3) ** 2
+    np.testing.assert_allclose(variance[:, 2], heading if noise == "wheels" else paper, rtol=1e-5)
 
 
 def team(benchmark: ModuleType, kind: str, robots: int = 3) -> tuple[Problem, Array, Array, list[str]]:
@@ -197,21 +248,36 @@ def test_bars_of_a_window_are_its_ranges(benchmark: ModuleType) -> None:
     np.testing.assert_array_equal(b.i[: len(s.i)], s.i // count)
 
 
-def test_random_motion_is_told_from_degenerate(benchmark: ModuleType) -> None:
-    """A small version of ``benchmarks/observability.py``, where teams of five have to be told apart."""
-    setting = benchmark.Setting("range", 5, 20, 20.0, 1.0)
-    random, degenerate = benchmark.pairs(setting, 24)
-    area = benchmark.area_under_roc(np.array([e.smallest for e in random]), np.array([e.smallest for e in degenerate]))
-    assert area >= 0.93
+VALUES = ("margin", "smallest")
+
+
+def areas(benchmark: ModuleType, sensor: str, robots: int, steps: int, trials: int) -> tuple[float, float]:
+    """Under the ROC curves of margin and λ_min(S_bc): a smaller version of ``benchmarks/observability.py``."""
+    random, degenerate = benchmark.pairs(benchmark.Setting(sensor, robots, steps), trials)
+    margin, smallest = ([np.array([getattr(e, of) for e in found]) for found in (random, degenerate)] for of in VALUES)
+    return benchmark.area_under_roc(*margin), benchmark.area_under_roc(*smallest)
+
+
+@pytest.mark.parametrize(("sensor", "robots"), [("rssi", 2), ("range", 5)])
+def test_random_motion_is_told_from_degenerate(benchmark: ModuleType, sensor: str, robots: int) -> None:
+    margin, _ = areas(benchmark, sensor, robots, 20, 24)
+    assert margin >= 0.93
+
+
+def test_what_ranges_excite_has_a_sign(benchmark: ModuleType) -> None:
+    random, degenerate = benchmark.pairs(benchmark.Setting("range", 5, 20), 24)
     assert sum(e.excited for e in random) >= 22
     assert sum(e.excited for e in degenerate) <= 4
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["rssi", "range"])
-@pytest.mark.parametrize(("robots", "steps"), [(2, 60), (5, 20), (5, 60)])
-def test_margins_tell_random_from_degenerate(benchmark: ModuleType, sensor: str, robots: int, steps: int) -> None:
-    """The paper's speed. Two robots and 20 steps are left out: benchmarks/README.md says why."""
-    random, degenerate = benchmark.pairs(benchmark.Setting(sensor, robots, steps), 200)
-    area = benchmark.area_under_roc(np.array([e.margin for e in random]), np.array([e.margin for e in degenerate]))
-    assert area >= 0.93
+@pytest.mark.parametrize("robots", [2, 5])
+@pytest.mark.parametrize("steps", [20, 60])
+def test_random_motion_is_told_from_degenerate_everywhere(
+    benchmark: ModuleType, sensor: str, robots: int, steps: int
+) -> None:
+    """λ_min(S_bc) of two robots' RSSI falls short of it, or nearly: benchmarks/README.md says why."""
+    margin, smallest = areas(benchmark, sensor, robots, steps, 200)
+    assert margin >= 0.93
+    assert smallest >= 0.93 or (sensor, robots) == ("rssi", 2)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dgorl import _core, se2
 from dgorl.optimization.problem import Indices, Loss, Problem

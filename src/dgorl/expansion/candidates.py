@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import numpy as np
 
 from dgorl import _core
@@ -16,13 +17,16 @@ ANNULI, ANNULUS = 8, 3.0
 CELL = 0.15
 """Relative width that the grid of particles adds to an annulus."""
 
+WIDEST = 10.0
+"""log of the ratio between an annulus' radii and its middle, at most."""
+
 NEAREST = 0.05
 """Distances are at least this [m]."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Distinct places of a body, best first: T_a_b (k, 3), log mass (k,), covariance (k, 3, 3) of right perturbations."""
+    """Distinct places T_a_b (k, 3) of a body, best first; log mass (k,), covariance (k, 3, 3), right perturbations."""
 
     poses: Array
     mass: Array
@@ -74,7 +78,7 @@ def _annuli(found: list[Sightings]) -> Array:
     for s in ranged:
         m = np.arange(step // 2, len(s.value), step)
         distance = np.maximum(s.distance[m], NEAREST)
-        width = np.exp(ANNULUS * (s.sigma[m] / (s.slope[m] * distance) + CELL))
+        width = np.exp(np.minimum(ANNULUS * (s.sigma[m] / (s.slope[m] * distance) + CELL), WIDEST))
         rings.append(np.column_stack([*_ends(s, m), s.height[m], distance / width, distance * width]))
     return np.concatenate(rings)
 

@@ -58,7 +58,7 @@ class Optima:
 
 @dataclass(frozen=True)
 class ClusterGraph:
-    """``window`` as the core's ``graph``; body (N,): which of the ``bodies`` (tracks of each component) a pose is of."""
+    """``window`` as the core's ``graph``; body (N,): which of the ``bodies`` (each component's tracks) a pose is of."""
 
     window: Window
     graph: _core.Graph
@@ -111,7 +111,8 @@ def cluster_graph(
     pin = stretch.first + len(stretch.poses) - 1
     window = assemble(history, component, base / KEYFRAMES_PER_SECOND, limit, pin)
     body = np.zeros(len(window.problem.initial), np.int64)
-    newest, soft = [], {}
+    newest: list[int] = []
+    soft: dict[int, int] = {}
     for key, (offset, _, count) in window.layout.items():
         b = next(k for k, group in enumerate(groups) if key in group)
         body[offset : offset + count] = b

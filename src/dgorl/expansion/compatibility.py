@@ -1,4 +1,7 @@
-"""How well candidates of two bodies go together: θ_jl(a, b) = log N(e; 0, s²I + J_a P_a J_aᵀ + J_b P_b J_bᵀ). METHOD §4."""
+"""How well candidates of two bodies go together. METHOD §4.
+
+θ_jl(a, b) = log N(e; 0, s²I + J_a P_a J_aᵀ + J_b P_b J_bᵀ), e the residuals of what the two measured of one another.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ def _residual(
     on_b: Array,
     radio: tuple[float, float],
 ) -> tuple[Array, Array, Array]:
-    """Residuals (k_a, k_b, M) and their Jacobians (..., M, 3) by right perturbations of T_a (k_a, 1, 3), T_b (1, k_b, 3)."""
+    """Residuals (k_a, k_b, M), and Jacobians (..., M, 3) by right perturbations of T_a (k_a, 1, 3), T_b (1, k_b, 3)."""
     p_a, p_b = se2.compose(T_a[..., None, :], on_a), se2.compose(T_b[..., None, :], on_b)
     delta = p_a[..., :2] - p_b[..., :2]
     square = np.maximum(np.sum(delta**2, axis=-1) + s.height[rows] ** 2, 1e-2)

@@ -100,7 +100,7 @@ def _odometry(p: Problem, anchor: Indices, first_of: Indices) -> tuple[Indices, 
     i, j, delta, information = p.odometry
     where = np.full(len(anchor), -1)
     where[i] = np.arange(len(i))
-    ends = np.flatnonzero((anchor[i] != anchor[j]))
+    ends = np.flatnonzero(anchor[i] != anchor[j])
     into = anchor[i[ends]]
     begin, count = first_of[into], i[ends] - first_of[into] + 1
     motion, covariance = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))

@@ -72,8 +72,8 @@ def cold(shapes: Shapes, k: int) -> Array:
     members = [j for j in members if len(places[j])]
     unary = [places[j].mass for j in members]
     pairwise = {
-        (a, b): compatibility(shapes.found, (members[a], members[b]), places[members[a]], places[members[b]], shapes.radio)
-        for b in range(len(members)) for a in range(b)
+        (x, y): compatibility(shapes.found, (a, b), places[a], places[b], shapes.radio)
+        for y, b in enumerate(members) for x, a in enumerate(members[:y])
     }  # fmt: skip
     drafts, scores = [], []
     for score, chosen in islice(best_graphs(unary, pairwise), GRAPHS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -24,10 +25,14 @@ COARSE = 30.0
 """The same where masses are those of a coarse graph."""
 
 BEARING, NEAR = 0.25, 5.0
-"""Position σ up to which a place counts as one, as a share of the distance, which is taken to be at least so far [m]."""
+"""Position σ up to which a place counts as one, as a share of the distance, taken to be at least that far [m]."""
 
 CERTAIN = 0.999
 """Probability at which a relative pose is accepted, at two nodes in a row."""
+
+
+Motion = Literal["", "straight", "still"]
+"""Every track has gone straight, so that the mirror image fits as well; or none has moved at all. METHOD §3."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +54,16 @@ class Hypothesis:
 class Cluster:
     """Components that measurements link but that are not joined, from keyframe ``base`` on; hypotheses best first.
 
-    groups: the tracks of each of its components. agreed: pairs of tracks on whose relative pose all probable hypotheses agree.
+    groups: the tracks of each of its components. agreed: pairs of tracks on whose relative pose all probable hypotheses
+    agree, and for how many nodes in a row.
     """
 
     base: int
     groups: tuple[tuple[TrackKey, ...], ...]
     hypotheses: tuple[Hypothesis, ...]
     agreed: Mapping[tuple[TrackKey, TrackKey], int] = field(default_factory=dict)
+    motion: Motion = ""
+    """what all tracks have in common that leaves them ambiguous"""
 
     @property
     def tracks(self) -> frozenset[TrackKey]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dgorl.expansion.cluster_graph import cluster_graph
-from dgorl.expansion.clusters import Step, internal_links
 from dgorl.expansion.hypotheses import Cluster, Hypothesis, probabilities
+from dgorl.expansion.step import Step, internal_links
 from dgorl.history import History
 from dgorl.optimization.problem import Indices, Solution
 from dgorl.team_state import TOLERANCE, TeamState, joint_now

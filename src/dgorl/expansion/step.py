@@ -1,0 +1,54 @@
+"""A node's step in the expansion, and what its parts share. METHOD §4."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from dgorl.history import History
+from dgorl.tracks import Track, TrackKey
+from dgorl.window import Component, Link, links, stands
+
+SPACING = 5.0
+"""Seconds between nodes."""
+
+Group = tuple[TrackKey, ...]
+"""The tracks of a component, the world among them."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Where a cluster is taken at node time g [s], with the tracks known there."""
+
+    history: History
+    tracks: Mapping[TrackKey, Track]
+    g: float
+    since: Mapping[TrackKey, float] = field(default_factory=dict)
+
+    @property
+    def index(self) -> int:
+        """Number of the node."""
+        return int(self.g // SPACING)
+
+    @property
+    def seed(self) -> tuple[int, int]:
+        return self.history.configuration.seed, self.index % 2**31
+
+
+def restricted(component: Component, keys: Iterable[TrackKey]) -> Component:
+    """What a component knows of some of its tracks alone."""
+    keys = set(keys)
+    priors = tuple(p for p in component.priors if {p.reference, *p.members} <= keys)
+    return Component({key: s for key, s in component.stretches.items() if key in keys}, priors)
+
+
+def internal_links(step: Step, component: Component, low: float) -> tuple[Link, ...]:
+    """Measured relative poses inside a component since ``low`` [s]."""
+    inside = component.stretches
+    return tuple(
+        link
+        for link in links(step.history, step.tracks, low, step.g)
+        if {link.reference, link.robot} <= inside.keys()
+        and stands(component, link.reference, link.stamp_reference)
+        and stands(component, link.robot, link.stamp_robot)
+    )

@@ -1,0 +1,85 @@
+"""What is known of a peer, why not more, and what would help: METHOD §3, Status.
+
+Status follows the posterior alone; the words come from its weak directions and from the motion that would tell most.
+"""
+
+from __future__ import annotations
+
+from math import degrees, hypot, isfinite, radians, sqrt
+
+import numpy as np
+
+from dgorl import _core
+from dgorl.configuration import Configuration
+from dgorl.estimate import PeerHypothesis, Status
+from dgorl.expansion.hypotheses import Motion
+from dgorl.history import DEFAULT_RANGE_SIGMA, History
+from dgorl.observability_motion import MIRROR, Limits, resolve_by, weak_directions
+from dgorl.radio import relative_sigma
+from dgorl.se2 import Array
+from dgorl.tracks import KEYFRAMES_PER_SECOND, Track
+
+UNKNOWN = 1e-6
+"""Added to information matrices [1/m²]: where nothing is known, little is."""
+
+CRUISE = 0.5
+"""Speed of proposed motions where the configuration allows more [m/s]."""
+
+
+def joined_status(ego: str, pose: Array, covariance: Array, configuration: Configuration) -> tuple[Status, str]:
+    """Status of a joined peer and why it is not tracked."""
+    limits = configuration.status
+    (x, y, _), ((a, b, _), (_, d, _), (_, _, t)) = pose.tolist(), covariance.tolist()
+    sigma = sqrt(max((a + d) / 2 + sqrt(((a - d) / 2) ** 2 + b * b), 0.0))
+    accuracy = max(limits.accuracy, limits.accuracy_per_metre * hypot(x, y))
+    heading = degrees(sqrt(max(t, 0.0)))
+    if not (isfinite(sigma) and isfinite(heading)) or sigma > accuracy:
+        weak = ", ".join(weak_directions(ego, pose, covariance, accuracy, radians(limits.heading)))
+        return Status.UNOBSERVABLE, f"position 1σ {sigma:.2f} m exceeds {accuracy:.2f} m: {weak} not known well enough"
+    if heading > limits.heading:
+        return Status.POSITION, f"heading 1σ {heading:.0f}° exceeds {limits.heading:.0f}°"
+    return Status.TRACKED, ""
+
+
+def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:
+    """Why a peer is not joined, in words that do not change with every tick."""
+    if motion == "still":
+        return "no robot has moved: ranges alone do not tell where it is"
+    if motion == "straight":
+        return f"{MIRROR} not known: every robot has driven straight"
+    return "several places fit" if len(places) > 1 else "one place fits, not yet for long enough to be sure"
+
+
+def advice(history: History, own: Track, peer: Track, pose: Array, covariance: Array, now: float, mirror: bool) -> str:
+    """The motion that would tell most of a peer's pose (3,), known with covariance (3, 3) in the ego's frame."""
+    configuration = history.configuration
+    information = np.linalg.inv(covariance + UNKNOWN * np.eye(3))
+    sigma, per_metre = _range_sigma(history)
+    motion = configuration.motion
+    return resolve_by(
+        (own.key.robot, peer.key.robot),
+        pose,
+        (information + information.T) / 2,
+        sigma,
+        limits=Limits(min(motion.maximum_speed, CRUISE), min(motion.maximum_turn_rate, 1.0)),
+        twists=(_twist(own, now), _twist(peer, now)),
+        range_sigma_per_metre=per_metre,
+        mirror=mirror,
+    )
+
+
+def _twist(track: Track, now: float) -> tuple[float, float]:
+    """v [m/s] and ω [rad/s] over the newest keyframe interval, zero before there is one."""
+    newest = track.core.newest(now)
+    if newest <= track.core.first:
+        return 0.0, 0.0
+    delta, _ = _core.odometry([track.core], [newest - 1], [newest])
+    return float(delta[0, 0]) * KEYFRAMES_PER_SECOND, float(delta[0, 2]) * KEYFRAMES_PER_SECOND
+
+
+def _range_sigma(history: History) -> tuple[float, float]:
+    """σ of a range between robots: constant part [m] and share of the distance, of the best sensor in use."""
+    ranging = history.configuration.ranging
+    if len(history.tables["range"]) or not len(history.tables["rssi"]):
+        return ranging.sigma or DEFAULT_RANGE_SIGMA, ranging.sigma_per_metre
+    return UNKNOWN, relative_sigma(history.configuration.radio)

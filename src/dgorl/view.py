@@ -1,0 +1,120 @@
+"""The team as one robot sees it: the ego frame is applied last. METHOD §1, §3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dgorl.estimate import Estimate, PeerEstimate, Status
+from dgorl.expansion.hypotheses import Motion
+from dgorl.expansion.ticks import Weighed
+from dgorl.formation import contacts, rpmg
+from dgorl.graph import optimized_graph
+from dgorl.history import WORLD_KEY, History
+from dgorl.measurements import WORLD
+from dgorl.places import places_of
+from dgorl.se2 import Array
+from dgorl.status import advice, ambiguous_reason, joined_status
+from dgorl.team_state import TeamState
+from dgorl.tracks import Track, TrackKey
+
+Relative = Mapping[TrackKey, tuple[Array, Array]]
+"""T_ego_peer (3,) and its covariance (3, 3) in the ego's frame, by track."""
+
+
+@dataclass(frozen=True)
+class ClusterNow:
+    """The hypotheses about components that are not joined, most probable first; motion: as in Cluster."""
+
+    hypotheses: tuple[Weighed, ...]
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class TeamNow:
+    """The team at one time: joined components, clusters of others, and members that do not fit their component."""
+
+    joined: tuple[TeamState, ...]
+    clusters: tuple[ClusterNow, ...]
+    suspects: frozenset[TrackKey] = frozenset()
+
+
+class View:
+    """What ``robot`` knows of its peers at ``now`` [s]."""
+
+    def __init__(self, history: History, team: TeamNow, robot: str, now: float) -> None:
+        self._history, self._team, self._robot, self._now = history, team, robot, now
+        self._own = _current(history, robot, now)
+        own = self._own.key if self._own is not None else None
+        self._state = next((s for s in team.joined if own in s.members), None)
+        self._relative: Relative = self._state.relative(own) if self._state is not None and own is not None else {}
+        self._cluster = next((c for c in team.clusters if any(own in state.members for _, state in c.hypotheses)), None)
+        self._possible: Sequence[tuple[float, Relative]] = []
+        if self._cluster is not None and own is not None:
+            self._possible = [(p, s.relative(own)) for p, s in self._cluster.hypotheses if own in s.members]
+
+    def estimate(self) -> Estimate:
+        """Every peer that was ever heard of, and the optimised graph."""
+        history = self._history
+        peers = {}
+        for name in sorted(history.trails):
+            track = _current(history, name, self._now)
+            if name != self._robot and track is not None:
+                peers[name] = self._peer(track)
+        if WORLD_KEY in self._relative:
+            pose, covariance = self._relative[WORLD_KEY]
+            status, reason = joined_status(self._robot, pose, covariance, history.configuration)
+            peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
+        graph = (self._robot, self._own, self._state, self._relative)
+        return Estimate(self._robot, self._now, peers, dict(history.rejected), lambda: optimized_graph(*graph))
+
+    def _peer(self, track: Track) -> PeerEstimate:
+        """METHOD §3, Status."""
+        configuration = self._history.configuration
+        age = max(self._now - (track.end - configuration.motion.lag), 0.0)
+        if self._own is None:
+            return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no odometry of our own", "drive")
+        if age > configuration.status.age:
+            reason = f"no odometry from {track.key.robot} for {age:.0f} s"
+            return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "restore the link")
+        if track.key in self._relative:
+            return self._joined(self._own, track, age)
+        places = places_of(track.key, self._possible)
+        if places:
+            best, motion = places[0], self._cluster.motion if self._cluster is not None else ""
+            reason = ambiguous_reason(places, motion)
+            help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, motion == "straight")
+            return PeerEstimate(
+                best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, help_, places
+            )
+        if any({self._own.key, track.key} <= set(part) for part in self._in_contact):
+            reason = "measurements link us, but too few to tell where it is"
+            return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "keep moving within range")
+        return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no measurement links us", "come into range")
+
+    def _joined(self, own: Track, track: Track, age: float) -> PeerEstimate:
+        pose, covariance = self._relative[track.key]
+        status, reason = joined_status(self._robot, pose, covariance, self._history.configuration)
+        suspect = next((key.robot for key in (track.key, own.key) if key in self._team.suspects), None)
+        if suspect is not None:
+            reason = f"inconsistent: {suspect} does not move as its odometry says, or its readings are wrong"
+            help_ = f"wait: {suspect} is located anew if this goes on"
+            return PeerEstimate(pose, covariance, Status.UNOBSERVABLE, 1.0, age, reason, help_)
+        if status is Status.TRACKED:
+            return PeerEstimate(pose, covariance, status, 1.0, age)
+        help_ = advice(self._history, own, track, pose, covariance, self._now, False)
+        return PeerEstimate(pose, covariance, status, 1.0, age, reason, help_)
+
+    @cached_property
+    def _in_contact(self) -> tuple[tuple[TrackKey, ...], ...]:
+        """Tracks that measurements link, over others if need be, since they began."""
+        return rpmg(contacts(self._history, -np.inf, np.inf)).components
+
+
+def _current(history: History, robot: str, now: float) -> Track | None:
+    trail = history.trails.get(robot)
+    track = trail.at(now) if trail else None
+    return track if track is not None and track.core.known(now) > -np.inf else None
