@@ -89,7 +89,8 @@ class Memo:
         After a long silence, or a jump of the clock, the nodes between need not be computed one by one.
         """
         following = self._history.next_odometry(node.stamp)
-        if following <= node.stamp + SPACING or node.clusters or (node.components and self.low(g) > -inf):
+        known = node.components or node.clusters
+        if following <= node.stamp + SPACING or (known and self.low(g) > -inf):
             return None
         return g if following >= g else floor(following / SPACING) * SPACING
 

@@ -125,7 +125,7 @@ def _debiased(head: Heads, poses: Array, drawn: Sequence[Array], units: Array) -
 
 def sharper(problem: Problem, ranges: Bars) -> float:
     """How many times more a range as sharp as a step of odometry would tell than the median one; at least once."""
-    if not len(ranges.i):
+    if not len(ranges.i) or not len(problem.odometry[0]):
         return 1.0
     steps = np.linalg.inv(problem.odometry[3])[:, :2, :2].trace(axis1=1, axis2=2) / 2
     sharp = min(1.0 / float(np.median(steps)), STIFF)

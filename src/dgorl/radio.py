@@ -11,6 +11,9 @@ from dgorl.se2 import Array
 MINIMUM_DISTANCE = 0.1
 """Distances are clamped here [m]: the model has no meaning inside an antenna."""
 
+DECADES = 10.0
+"""Distances are from 10⁻¹⁰ to 10¹⁰ m."""
+
 
 def range_to_rssi(distance: ArrayLike, radio: Radio) -> Array:
     """Expected RSSI at a distance.
@@ -30,8 +33,13 @@ def rssi_to_range(rssi_dbm: ArrayLike, radio: Radio) -> Array:
 
     rssi_dbm: (...,).  Returns (...,) [m].  Its mean is too long by exp(s²/2), see :func:`relative_sigma`.
     """
-    exponent = (radio.rssi_at_1m_dbm - np.asarray(rssi_dbm, dtype=float)) / (10.0 * radio.path_loss_exponent)
-    return np.asarray(10.0**exponent)
+    return distances(rssi_dbm, radio.rssi_at_1m_dbm, radio.path_loss_exponent)
+
+
+def distances(rssi_dbm: ArrayLike, rssi_at_1m_dbm: float, exponent: float) -> Array:
+    """:func:`rssi_to_range` of a path-loss model's two numbers. No more than 10¹⁰ m, whatever is claimed."""
+    decades = (rssi_at_1m_dbm - np.asarray(rssi_dbm, dtype=float)) / (10.0 * exponent)
+    return np.asarray(10.0 ** np.clip(decades, -DECADES, DECADES))
 
 
 def relative_sigma(radio: Radio) -> float:

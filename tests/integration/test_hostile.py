@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given
+from hypothesis import HealthCheck, Phase, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
@@ -47,7 +47,9 @@ def made(what):
     return make(*who, when, *rest)
 
 
-@hypothesis_settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@hypothesis_settings(
+    deadline=None, max_examples=100, suppress_health_check=[HealthCheck.too_slow], phases=[Phase.reuse, Phase.generate]
+)
 @given(st.lists(anything(), max_size=12))
 def test_update_answers_whatever_arrives(hostile):
     localizer = Localizer("r1")

@@ -12,6 +12,7 @@ import numpy as np
 
 from dgorl import _core, se2
 from dgorl.optimization.problem import Indices, Loss, Problem
+from dgorl.radio import distances
 from dgorl.se2 import Array
 
 BINS = 24
@@ -115,11 +116,10 @@ def sightings(
 
 
 def _thinned(problem: Problem, kind: str, i: Indices, j: Indices, mean: Array, sigma: Array, loss: Loss) -> Sightings:
-    at_1m, exponent = problem.radio
     value, variance = mean[:, 7], mean[:, 8]
     distance = np.full_like(value, np.nan)
     if kind != "bearing":
-        distance = value if kind == "range" else 10.0 ** ((at_1m - value) / (10.0 * exponent))
+        distance = value if kind == "range" else distances(value, *problem.radio)
     slope = slopes(kind, distance, problem.radio)
     whole = np.sqrt(sigma**2 + slope**2 * variance)
     return Sightings(kind, i, j, mean[:, :3], mean[:, 3:6], mean[:, 6], value, whole, distance, slope, loss)

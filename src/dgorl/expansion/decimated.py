@@ -15,6 +15,7 @@ from dgorl.expansion.bodies import slopes
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima
 from dgorl.optimization import native
 from dgorl.optimization.problem import DensePrior, Indices, Problem, RelativePoses, Scalars
+from dgorl.radio import distances
 from dgorl.se2 import Array
 
 SPACING = 10
@@ -129,7 +130,7 @@ def _widened(s: Scalars, variance: Array, radio: tuple[float, float]) -> Scalars
     """Readings whose σ includes what odometry has gathered since the coarse poses of both ends."""
     distance = s.value
     if s.kind == "rssi":
-        distance = 10.0 ** ((radio[0] - s.value) / (10.0 * radio[1]))
+        distance = distances(s.value, *radio)
     slope = slopes(s.kind, distance, radio)
     return replace(s, sigma=np.sqrt(s.sigma**2 + slope**2 * (variance[s.i] + variance[s.j])))
 
