@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from math import ceil, floor, inf
 
 from dgorl.consistency import Suspect, suspect
+from dgorl.expansion.beam import retried
 from dgorl.expansion.clusters import advance
 from dgorl.expansion.hypotheses import Cluster
-from dgorl.expansion.step import SPACING
+from dgorl.expansion.step import SPACING, Step
 from dgorl.history import History
 from dgorl.marginal import settled, without
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
@@ -22,6 +23,9 @@ from dgorl.window import Component, alone, extended, grow
 
 BREAK = 2
 """Nodes in a row at which a member has not fitted when it is cut off."""
+
+YOUNG = 30.0
+"""For so long [s] after a component was joined, better optima of its window are looked for."""
 
 DELAY = 1.0
 """A node is first used this long after its time [s], when most of its data has arrived."""
@@ -38,6 +42,8 @@ class Node:
     """from when on a track counts that was cut off its component [s]"""
     suspects: Mapping[TrackKey, Suspect] = field(default_factory=dict)
     """members that do not fit their component"""
+    young: Mapping[TrackKey, float] = field(default_factory=dict)
+    """members joined lately, and when [s]"""
 
 
 class Memo:
@@ -102,8 +108,11 @@ class Memo:
         since = {key: stamp for key, stamp in node.since.items() if key in tracks}
         found: list[Component] = []
         suspects: dict[TrackKey, Suspect] = {}
+        young = {key: stamp for key, stamp in node.young.items() if g - stamp <= YOUNG}
         for component in grow(self._history, node.components, low, g, since):
             try:
+                if not component.has_world and young.keys() & component.stretches.keys():
+                    component = retried(Step(self._history, tracks, g, since), component)
                 parts, seen = self._optimised(component, low, g, boundary, node.suspects)
             except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
                 parts, seen = [alone(tracks[key], low, g) for key in component.tracks], None
@@ -116,7 +125,8 @@ class Memo:
         clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
         components, clusters = advance(self._history, clusters, found, since, g, boundary)
         suspects = {key: seen for key, seen in suspects.items() if key not in broken}
-        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects)
+        young |= {key: g for c in components if all(c is not known for known in found) for key in c.tracks}
+        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects, young)
 
     def _optimised(
         self, component: Component, low: float, g: float, boundary: float, before: Mapping[TrackKey, Suspect]

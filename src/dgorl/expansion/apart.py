@@ -12,22 +12,20 @@ SAME = 3.0
 """Optima nearer than this Mahalanobis distance are one."""
 
 
-def apart(poses: Array, covariance: Array, known: Indices, order: Indices, limit: int) -> list[int]:
-    """At most ``limit`` of ``order`` (best first) of which none is one of ``known`` or of those before it.
+def apart(poses: Array, covariance: Array, order: Indices, limit: int) -> list[int]:
+    """At most ``limit`` of ``order`` (best first) of which none is in the place of one before it.
 
     poses: (B, m, 3). covariance: (B, 3m, 3m) of right perturbations.
     """
-    rows = np.concatenate([known, order]).astype(np.int64)
-    taken = np.zeros(len(rows), bool)
+    taken = np.zeros(len(order), bool)
     keep: list[int] = []
-    for row, b in enumerate(rows.tolist()):
-        if row >= len(known):
-            if taken[row]:
-                continue
-            if len(keep) == limit:
-                break
-            keep.append(b)
-        difference = se2.between(poses[b], poses[rows[row:]]).reshape(len(rows) - row, -1)
+    for row, b in enumerate(order.tolist()):
+        if taken[row]:
+            continue
+        if len(keep) == limit:
+            break
+        keep.append(b)
+        difference = se2.between(poses[b], poses[order[row:]]).reshape(len(order) - row, -1)
         information = np.linalg.inv(covariance[b])
         taken[row:] |= np.einsum("bi,ij,bj->b", difference, information, difference) <= SAME**2
     return keep

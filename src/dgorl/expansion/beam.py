@@ -26,6 +26,7 @@ from dgorl.expansion.hypotheses import (
     probabilities,
     settled_pair,
 )
+from dgorl.expansion.passing import passed
 from dgorl.expansion.step import Group, Step, internal_links
 from dgorl.history import WORLD_KEY
 from dgorl.marginal import marginalized, stretches
@@ -45,6 +46,9 @@ DRAFTS, IMPROVED, STARTS = 30, 10, 4
 
 WARM = 8
 """Warm particles of the best hypothesis."""
+
+BETTER = 1e-3
+"""Cost by which another optimum of a joined component has to be lower to take its place."""
 
 
 def expanded(step: Step, before: Cluster | None, components: Sequence[Component], since: float) -> Cluster:
@@ -73,7 +77,28 @@ def expanded(step: Step, before: Cluster | None, components: Sequence[Component]
         near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
         places = np.concatenate([drafts.reseeded(near), drafts.mirrored(near), drafts.warm(near, optima[[0]], WARM)])
         optima = _searched(graph, coarse, optima, near.starts(places))
+    other = passed(graph, optima.poses[0])
+    optima = distinct(both(optima, graph.optimize(other))) if len(other) else optima
     return _cluster(step, graph, optima, union, base, before)
+
+
+def retried(step: Step, component: Component) -> Component:
+    """A component joined lately, moved to the optimum on the other side of a passing if that is the better one.
+
+    What tells the side may come after the robots are joined.
+    """
+    groups = [(key,) for key in component.tracks]
+    base = min(component.stretches[key].first for key in component.tracks)
+    graph = cluster_graph(step.history, component, groups, base, step.g)
+    known = graph.start(component)
+    starts = passed(graph, known)
+    if not len(starts):
+        return component
+    found = graph.optimize(np.concatenate([known[None], starts]))
+    best = int(np.argmin(found.cost))
+    if not found.cost[best] < found.cost[0] - BETTER:
+        return component
+    return Component(stretches(graph.window, found.poses[best], None), component.priors, component.links)
 
 
 def _rigid(step: Step, union: Component, components: Sequence[Component]) -> Component:

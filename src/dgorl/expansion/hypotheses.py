@@ -21,6 +21,9 @@ BEAM = 8
 ALIVE = 14.0
 """Hypotheses whose log mass is this much below the best are dropped."""
 
+TIE = 0.02
+"""A new optimum in the place of a known one is better when its log mass is higher by this."""
+
 COARSE = 30.0
 """The same where masses are those of a coarse graph."""
 
@@ -72,13 +75,16 @@ class Cluster:
 
 def distinct(optima: Optima, limit: int = BEAM, alive: float = ALIVE) -> Optima:
     """The optima worth keeping, best first: at most ``limit``, none twice, none ``alive`` below the best."""
-    return optima[_apart(optima, 0, limit, alive)]
+    return optima[_apart(optima, optima.mass, limit, alive)]
 
 
 def fresh(known: Optima, found: Optima, limit: int) -> Optima:
-    """Those of ``found`` that are none of the ``known``, best first, at most ``limit``, none twice, none hopeless."""
+    """Those of ``found`` that are new, or better ones in the place of a ``known`` one: best first, at most ``limit``."""
     count = len(known.mass)
-    return found[[b - count for b in _apart(both(known, found), count, limit, COARSE)]]
+    merit = np.concatenate([known.mass + TIE, found.mass])
+    everything = both(known, found)
+    kept = _apart(everything, merit, len(merit), COARSE)
+    return found[[b - count for b in kept if b >= count][:limit]]
 
 
 def both(a: Optima, b: Optima) -> Optima:
@@ -86,11 +92,11 @@ def both(a: Optima, b: Optima) -> Optima:
     return Optima(*(np.concatenate(pair) for pair in zip(a.fields, b.fields, strict=True)))
 
 
-def _apart(optima: Optima, known: int, limit: int, alive: float) -> list[int]:
-    """Indices from ``known`` on, best first, of distinct optima that are none of those before ``known``."""
-    order = np.argsort(-optima.mass[known:], kind="stable") + known
-    order = order[optima.mass[order] >= optima.mass.max() - alive]
-    return apart(optima.relative[:, 1:], optima.covariance[:, 3:, 3:], np.arange(known), order, limit)
+def _apart(optima: Optima, merit: Array, limit: int, alive: float) -> list[int]:
+    """Indices of distinct optima, best first by ``merit`` (B,)."""
+    order = np.argsort(-merit, kind="stable")
+    order = order[merit[order] >= merit.max() - alive]
+    return apart(optima.relative[:, 1:], optima.covariance[:, 3:, 3:], order, limit)
 
 
 def probabilities(mass: Array) -> Array:
