@@ -79,7 +79,7 @@ def distinct(optima: Optima, limit: int = BEAM, alive: float = ALIVE) -> Optima:
 
 
 def fresh(known: Optima, found: Optima, limit: int) -> Optima:
-    """Those of ``found`` that are new, or better ones in the place of a ``known`` one: best first, at most ``limit``."""
+    """Those of ``found`` that are new, or better than a ``known`` one in its place: best first, at most ``limit``."""
     count = len(known.mass)
     merit = np.concatenate([known.mass + TIE, found.mass])
     everything = both(known, found)
