@@ -137,7 +137,7 @@ nb::tuple evidence_of(const Graph& graph, nb::handle poses, nb::handle select, n
                       nb::handle information) {
   const Argument<double> starts("poses", poses, {kAny, graph.layout().poses(), 3});
   const std::vector<int> selected = checked_selection(graph.layout(), IndexArgument("select", select));
-  const std::vector<int> weak = checked_selection(graph.layout(), IndexArgument("soft", soft));
+  const std::vector<int> weak = checked_selection(graph.layout(), IndexArgument("soft", soft), "soft");
   const RowArgument<3> pi("information", information, static_cast<nb::ssize_t>(weak.size()));
   const std::size_t batch = starts.extent(0), m = 3 * selected.size();
   std::vector<double> determinants, covariances;

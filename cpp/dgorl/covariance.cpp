@@ -11,12 +11,12 @@ void throw_undetermined(int pose) {
                           " undetermined: fix a pose of its component or add factors");
 }
 
-std::vector<int> checked_selection(const Layout& layout, const Indices& select) {
+std::vector<int> checked_selection(const Layout& layout, const Indices& select, const char* name) {
   std::vector<int> out;
   for (Eigen::Index k = 0; k < select.size(); ++k) {
     if (select[k] < 0 || select[k] >= layout.poses())
-      throw std::invalid_argument("select: must be a pose index below " + std::to_string(layout.poses()) +
-                                  " (row " + std::to_string(k) + ")");
+      throw std::invalid_argument(std::string(name) + ": must be a pose index below " +
+                                  std::to_string(layout.poses()) + " (row " + std::to_string(k) + ")");
     out.push_back(static_cast<int>(select[k]));
   }
   return out;

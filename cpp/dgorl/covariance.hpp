@@ -12,8 +12,8 @@ namespace dgorl {
 Matrix joint_covariance(const Layout& layout, const NormalEquations& normal, BlockCholesky& cholesky,
                         const std::vector<int>& select);
 
-// The selected indices as ints; throws std::invalid_argument for one out of range.
-std::vector<int> checked_selection(const Layout& layout, const Indices& select);
+// The selected indices as ints; throws std::invalid_argument, naming the argument, for one out of range.
+std::vector<int> checked_selection(const Layout& layout, const Indices& select, const char* name = "select");
 
 [[noreturn]] void throw_undetermined(int pose);
 

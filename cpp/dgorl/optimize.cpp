@@ -15,7 +15,7 @@ constexpr double kSmallestRaise = 1e-8;  // where damping starts again after it 
 constexpr double kGaugeDamping = 1e-8;   // enough to make a graph without a gauge regular
 constexpr double kLargestDamping = 1e12;
 constexpr double kAsPromised = 0.1;  // a gain this near to 1 needs no damping
-constexpr int kNewtonTries = 3;  // with more damping, before Gauss-Newton takes over
+constexpr int kNewtonTries = 3;      // with more damping, before Gauss-Newton takes over
 constexpr double kSafety = 1e-3;
 constexpr double kClose = 5.0;  // a Gauss-Newton step below this [m, rad] lets Newton try again
 

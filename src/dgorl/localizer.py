@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from dgorl.configuration import Configuration
@@ -13,7 +15,7 @@ from dgorl.measurements import LARGEST, Measurement
 from dgorl.nodes import Memo, Node
 from dgorl.team_state import TeamState, team_state
 from dgorl.view import ClusterNow, TeamNow, View
-from dgorl.window import grow
+from dgorl.window import Component, grow
 
 RETAINED = 10.0
 """Raw data is kept this much longer [s] than the history and the window need."""
@@ -44,9 +46,10 @@ class Team:
         node = self._memo.node(g)  # ERPMG, candidate graphs over the horizon, their optimisation
         clusters = [ClusterNow(tuple(hypotheses_now(self.history, c, now)), c.motion) for c in node.clusters]
         return TeamNow(
-            tuple(self._joined(node, self._memo.low(g), now)),
+            tuple(self._joined(node.components, node, self._memo.low(g), now)),
             tuple(cluster for cluster in clusters if cluster.hypotheses),
             frozenset(node.suspects),
+            tuple(self._joined(node.doubted.values(), node, self._memo.low(g), now)) if node.doubted else (),
         )
 
     def _receive(self, now: float, g: float) -> None:
@@ -58,10 +61,10 @@ class Team:
             if self.configuration.window != "all":
                 self.history.forget(now - history - float(self.configuration.window) - RETAINED - 2 * SPACING)
 
-    def _joined(self, node: Node, low: float, now: float) -> list[TeamState]:
+    def _joined(self, components: Iterable[Component], node: Node, low: float, now: float) -> list[TeamState]:
         """The components of more than one member, optimised once more."""
         states = []
-        for component in grow(self.history, node.components, low, now, node.since):
+        for component in grow(self.history, components, low, now, node.since):
             if len(component.stretches) > 1:
                 try:
                     states.append(team_state(self.history, component, low, now))

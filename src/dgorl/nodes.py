@@ -24,9 +24,6 @@ from dgorl.window import Component, alone, extended, grow
 BREAK = 2
 """Nodes in a row at which a member has not fitted when it is cut off."""
 
-YOUNG = 30.0
-"""For so long [s] after a component was joined, better optima of its window are looked for."""
-
 DELAY = 1.0
 """A node is first used this long after its time [s], when most of its data has arrived."""
 
@@ -42,8 +39,8 @@ class Node:
     """from when on a track counts that was cut off its component [s]"""
     suspects: Mapping[TrackKey, Suspect] = field(default_factory=dict)
     """members that do not fit their component"""
-    young: Mapping[TrackKey, float] = field(default_factory=dict)
-    """members joined lately, and when [s]"""
+    doubted: Mapping[TrackKey, Component] = field(default_factory=dict)
+    """of each of them the component without it since it began not to fit"""
 
 
 class Memo:
@@ -108,41 +105,57 @@ class Memo:
         since = {key: stamp for key, stamp in node.since.items() if key in tracks}
         found: list[Component] = []
         suspects: dict[TrackKey, Suspect] = {}
-        young = {key: stamp for key, stamp in node.young.items() if g - stamp <= YOUNG}
+        doubted: dict[TrackKey, Component] = {}
+        broken: set[TrackKey] = set()
         for component in grow(self._history, node.components, low, g, since):
             try:
-                if not component.has_world and young.keys() & component.stretches.keys():
-                    component = retried(Step(self._history, tracks, g, since), component)
-                parts, seen = self._optimised(component, low, g, boundary, node.suspects)
+                whole, seen, rest = self._optimised(component, low, g, boundary, since, node.suspects)
             except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
-                parts, seen = [alone(tracks[key], low, g) for key in component.tracks], None
-            found += parts
+                found += [alone(tracks[key], low, g) for key in component.tracks]
+                continue
+            if seen is not None and rest is not None and seen.nodes >= BREAK:
+                broken.add(seen.key)
+                start = since[seen.key] = seen.since / KEYFRAMES_PER_SECOND
+                left = [key for key in component.tracks if key not in rest.stretches]
+                found += [rest, *(alone(tracks[key], start, g) for key in left)]
+                continue
+            found.append(whole)
             if seen is not None:
                 suspects[seen.key] = seen
-                if seen.nodes >= BREAK:
-                    since[seen.key] = seen.since / KEYFRAMES_PER_SECOND
-        broken = {key for key, seen in suspects.items() if seen.nodes >= BREAK}
+                doubted |= {seen.key: rest} if rest is not None and len(rest.tracks) > 1 else {}
         clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
         components, clusters = advance(self._history, clusters, found, since, g, boundary)
-        suspects = {key: seen for key, seen in suspects.items() if key not in broken}
-        young |= {key: g for c in components if all(c is not known for known in found) for key in c.tracks}
-        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects, young)
+        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects, doubted)
 
     def _optimised(
-        self, component: Component, low: float, g: float, boundary: float, before: Mapping[TrackKey, Suspect]
-    ) -> tuple[list[Component], Suspect | None]:
-        """A component settled at g, in two where a member has not fitted for two nodes; and who fits worst."""
+        self,
+        component: Component,
+        low: float,
+        g: float,
+        boundary: float,
+        since: Mapping[TrackKey, float],
+        before: Mapping[TrackKey, Suspect],
+    ) -> tuple[Component, Suspect | None, Component | None]:
+        """A component settled at g; who does not fit it, if anybody, and the component without that member."""
         if len(component.stretches) < 2:
-            return [component], None
+            return component, None, None
+        if len(component.tracks) > 1 and not component.has_world:
+            tracks = {track.key: track for track in self._history.tracks}
+            component = retried(Step(self._history, tracks, g, since), component)
         done = settled(self._history, component, low, g, boundary)
         seen = suspect(self._history, done.window, done.poses, g)
-        if seen is not None and seen.key in before:
+        if seen is None:
+            return done.component, None, None
+        if seen.key in before:
             seen = replace(seen, nodes=before[seen.key].nodes + 1)
-        if seen is None or seen.nodes < BREAK:
-            return [done.component], seen
+        try:
+            return done.component, seen, self._without(component, seen, low, g, boundary)
+        except ValueError:  # without it the others are not determined
+            return done.component, seen, None
+
+    def _without(self, component: Component, seen: Suspect, low: float, g: float, boundary: float) -> Component:
         tracks = {track.key: track for track in self._history.tracks}
-        start = seen.since / KEYFRAMES_PER_SECOND
         rest = extended(without(self._history, component, seen.key, low, seen.since), tracks, g)
-        parts = [settled(self._history, rest, start, g, boundary).component] if len(rest.stretches) > 1 else [rest]
-        left = [key for key in component.tracks if key not in rest.stretches]
-        return [*parts, *(alone(tracks[key], start, g) for key in left)], seen
+        if len(rest.stretches) < 2:
+            return rest
+        return settled(self._history, rest, seen.since / KEYFRAMES_PER_SECOND, g, boundary).component

@@ -56,7 +56,7 @@ def advice(history: History, own: Track, peer: Track, pose: Array, covariance: A
     information = np.linalg.inv(covariance + UNKNOWN * np.eye(3))
     sigma, per_metre = _range_sigma(history)
     motion = configuration.motion
-    return resolve_by(
+    found = resolve_by(
         (own.key.robot, peer.key.robot),
         pose,
         (information + information.T) / 2,
@@ -66,6 +66,7 @@ def advice(history: History, own: Track, peer: Track, pose: Array, covariance: A
         range_sigma_per_metre=per_metre,
         mirror=mirror,
     )
+    return found or f"{own.key.robot}: drive a circle"
 
 
 def _twist(track: Track, now: float) -> tuple[float, float]:

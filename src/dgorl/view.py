@@ -40,6 +40,8 @@ class TeamNow:
     joined: tuple[TeamState, ...]
     clusters: tuple[ClusterNow, ...]
     suspects: frozenset[TrackKey] = frozenset()
+    doubted: tuple[TeamState, ...] = ()
+    """of the components with a suspect, what the others are without it"""
 
 
 class View:
@@ -51,6 +53,9 @@ class View:
         own = self._own.key if self._own is not None else None
         self._state = next((s for s in team.joined if own in s.members), None)
         self._relative: Relative = self._state.relative(own) if self._state is not None and own is not None else {}
+        for state in team.doubted:
+            if own is not None and own in state.members:
+                self._relative = {**self._relative, **state.relative(own)}
         self._cluster = next((c for c in team.clusters if any(own in state.members for _, state in c.hypotheses)), None)
         self._possible: Sequence[tuple[float, Relative]] = []
         if self._cluster is not None and own is not None:

@@ -67,9 +67,6 @@ def test_team_mates_are_right_again_as_soon_as_the_robot_is_cut_off(carried_r3):
     assert within(log, estimates[-1], "r3")
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a suspect pulls its team until it is cut off; only itself is called inconsistent"
-)
 def test_team_mates_of_a_suspect_are_not_confidently_wrong(carried_r3):
     log, estimates = carried_r3
     for e, peer in mates(estimates, CARRIED + 6.0, CUT):

@@ -298,7 +298,7 @@ def test_a_pose_that_nothing_determines_has_no_evidence():
         ("poses", np.zeros((3, 3))),
         ("poses", np.full((1, 3, 3), np.nan)),
         ("select", [7]),
-        pytest.param("soft", [-1], marks=pytest.mark.xfail(strict=True, reason="says `select`", raises=AssertionError)),
+        ("soft", [-1]),
         ("information", np.ones((2, 3))),
     ],
 )

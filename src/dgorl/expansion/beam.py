@@ -47,6 +47,9 @@ DRAFTS, IMPROVED, STARTS = 30, 10, 4
 WARM = 8
 """Warm particles of the best hypothesis."""
 
+REMEMBERED = 30.0
+"""For so long [s] the side on which two joined robots have passed one another is not taken for granted."""
+
 BETTER = 1e-3
 """Cost by which another optimum of a joined component has to be lower to take its place."""
 
@@ -77,21 +80,21 @@ def expanded(step: Step, before: Cluster | None, components: Sequence[Component]
         near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
         places = np.concatenate([drafts.reseeded(near), drafts.mirrored(near), drafts.warm(near, optima[[0]], WARM)])
         optima = _searched(graph, coarse, optima, near.starts(places))
-    other = passed(graph, optima.poses[0])
+    other = passed(graph, optima.poses[0], base)
     optima = distinct(both(optima, graph.optimize(other))) if len(other) else optima
     return _cluster(step, graph, optima, union, base, before)
 
 
 def retried(step: Step, component: Component) -> Component:
-    """A component joined lately, moved to the optimum on the other side of a passing if that is the better one.
+    """A joined component, moved to the optimum on the other side of a passing if that is the better one.
 
-    What tells the side may come after the robots are joined.
+    What tells the side may come after the robots have met.
     """
     groups = [(key,) for key in component.tracks]
     base = min(component.stretches[key].first for key in component.tracks)
     graph = cluster_graph(step.history, component, groups, base, step.g)
     known = graph.start(component)
-    starts = passed(graph, known)
+    starts = passed(graph, known, floor((step.g - REMEMBERED) * KEYFRAMES_PER_SECOND))
     if not len(starts):
         return component
     found = graph.optimize(np.concatenate([known[None], starts]))

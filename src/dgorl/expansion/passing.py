@@ -23,11 +23,14 @@ PASSINGS = 3
 """The nearest passings that are tried."""
 
 
-def passed(graph: ClusterGraph, poses: Array) -> Array:
-    """Starts (B, N, 3) in which two robots pass one another on the other side than in ``poses`` (N, 3)."""
+def passed(graph: ClusterGraph, poses: Array, since: int) -> Array:
+    """Starts (B, N, 3) in which two robots pass one another on the other side than in ``poses`` (N, 3).
+
+    since: keyframe from which on passings count.
+    """
     found: list[tuple[float, Array]] = []
     for (at_a, first_a, count_a), (at_b, first_b, count_b) in combinations(graph.window.layout.values(), 2):
-        first, last = max(first_a, first_b), min(first_a + count_a, first_b + count_b)
+        first, last = max(first_a, first_b, since), min(first_a + count_a, first_b + count_b)
         if last - first < 3:
             continue
         a, b = (

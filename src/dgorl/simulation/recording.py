@@ -56,4 +56,8 @@ def _configuration(scenario: Scenario) -> dict[str, Any]:
         return {}
     radio = radio_of(scenario)
     names = ("rssi_at_1m_dbm", "path_loss_exponent", "sigma_db", "reciprocity")
-    return {"radio": {name: getattr(radio, name) for name in names}}
+    settings = {name: getattr(radio, name) for name in names}
+    if scenario.shadowing_correlation > 0 and scenario.speed > 0:
+        # Both ends move: readings this long apart have e⁻² of their shadowing in common.
+        settings["thinning"] = scenario.shadowing_correlation / scenario.speed
+    return {"radio": settings}
