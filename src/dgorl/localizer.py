@@ -43,7 +43,7 @@ class Team:
             raise ValueError(f"now must be a time in seconds, got {now}")
         g = self._memo.due(now)
         self._receive(now, g)  # motion and observability information of the connected robots
-        node = self._memo.node(g)  # ERPMG, candidate graphs over the horizon, their optimisation
+        node = self._memo.node(g)  # who is in contact, candidate graphs over the horizon, their optimisation
         clusters = [ClusterNow(tuple(hypotheses_now(self.history, c, now)), c.motion) for c in node.clusters]
         return TeamNow(
             tuple(self._joined(node.components, node, self._memo.low(g), now)),
