@@ -5,7 +5,8 @@
 
 Five robots, 30 s window (60 to 72 keyframes), a tick every 0.5 s of a long simulated log. A tick is everything since
 the last one: taking the measurements and `Localizer.update`, node ticks included. The rewind is one reading 175 s
-late, which recomputes every node since. Medians over repeats; process CPU time.
+late, which recomputes every node since. Medians over repeats; process CPU time. The last figure is of unknown starts:
+ticks of r1 from the first hypothesis until all its peers are joined, nodes and their searches included.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ import numpy as np
 
 from dgorl import Configuration, Localizer, Range
 from dgorl.configuration import merge
+from dgorl.estimate import Status
 from dgorl.measurements import Measurement, known_at
 from dgorl.optimization import native
 from dgorl.optimization.problem import Problem
 from dgorl.replay import known_starts
 from dgorl.se2 import Array
 from dgorl.simulation import Scenario, simulate
+
+UNJOINED = (Status.ISOLATED, Status.AMBIGUOUS)
 
 STEADY = 40.0
 """Ticks before this time [s] do not count: the window is not full yet."""
@@ -59,6 +63,30 @@ def ticks(steps: int) -> tuple[Array, float]:
     localizer.add(Range("r1", "r2", now - 175.0, 10.0, 5.0))
     localizer.update(now)
     return np.array(spent), time.process_time() - began
+
+
+def unjoined_ticks(seed: int, steps: int = 300) -> list[float]:
+    """CPU time of r1's ticks while a peer is not joined [s], unknown starts, k = 3."""
+    log = simulate(Scenario(steps=steps, seed=seed))
+    configuration = merge(merge(Configuration(), log.configuration, "the simulated log"), {"candidates": 3}, "here")
+    localizer = Localizer("r1", configuration)
+    waiting = iter([*sorted(log.measurements, key=known_at), None])
+    measurement = next(waiting)
+    spent = []
+    gc.collect()
+    for k in range(1, steps + 1):
+        now = k * 0.5
+        began = time.process_time()
+        while measurement is not None and known_at(measurement) <= now:
+            localizer.add(measurement)
+            measurement = next(waiting)
+        estimate = localizer.update(now)
+        took = time.process_time() - began
+        if len(estimate) == 4 and all(peer.status not in UNJOINED for peer in estimate.values()):
+            break
+        if any(peer.status is Status.AMBIGUOUS for peer in estimate.values()):
+            spent.append(took)
+    return spent
 
 
 def median_cpu(call: Callable[[], object], repeats: int = 100) -> float:
@@ -131,6 +159,9 @@ def main() -> None:
     print(f"tick: median {1e3 * np.median(medians):.2f} ms, p99 {1e3 * np.median(tails):.2f} ms CPU", end="")
     print(f" ({arguments.repeats} runs of {len(runs[0][0])} ticks)")
     print(f"rewind of 175 s: {1e3 * np.median([rewind for _, rewind in runs]):.0f} ms CPU")
+    spent = np.concatenate([unjoined_ticks(seed) for seed in range(4 * arguments.repeats)])
+    print(f"tick while a peer is not joined, k = 3: median {1e3 * np.median(spent):.1f} ms,", end="")
+    print(f" p99 {1e3 * np.quantile(spent, 0.99):.0f} ms CPU ({4 * arguments.repeats} teams, {len(spent)} ticks)")
     problem, newest = window_problem()
     size = f"{len(problem.initial)} poses, {len(problem.scalars[0].value)} ranges"
     ours = median_cpu(lambda: native.solve(problem, newest, 1e-5))

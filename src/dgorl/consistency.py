@@ -19,7 +19,7 @@ from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Window
 
-INTERVALS = (5.0, 10.0, 15.0)
+INTERVALS = (5.0, 10.0)
 """Between these ages of theirs [s] at the node, the odometry steps bent most are tested."""
 
 CLIP = 9.0
@@ -64,21 +64,21 @@ def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
     rows = _strained(window, poses, int(np.floor(g * KEYFRAMES_PER_SECOND)))
     if len(window.layout) < 2 or not rows:
         return []
-    _, _, delta, information = window.problem.odometry
-    edge = {int(k): row for row, k in enumerate(window.problem.odometry[0])}
+    begin, _, delta, information = window.problem.odometry
     at = np.array([index for _, _, index in rows])
-    joint = native.covariance(window.problem, poses, np.concatenate([at, at + 1]))
-    found = []
-    for k, (key, keyframe, index) in enumerate(rows):
-        row = edge[index]
-        motion = se2.between(poses[index], poses[index + 1])
-        u = se2.between(delta[row], motion)
-        back = se2.adjoint(se2.inverse(motion))
-        a, b = slice(3 * k, 3 * k + 3), slice(3 * (k + len(rows)), 3 * (k + len(rows)) + 3)
-        cross = joint[b, a] @ back.T
-        posterior = joint[b, b] - cross - cross.T + back @ joint[a, a] @ back.T
-        found.append(Suspect(key, keyframe, _drop(u, np.linalg.inv(information[row]), posterior) / chi2_limit(3)))
-    return found
+    step = np.searchsorted(begin, at)  # every pose but a track's last begins one step, in order
+    count = len(rows)
+    joint = native.covariance(window.problem, poses, np.concatenate([at, at + 1])).reshape(2 * count, 3, 2 * count, 3)
+    k = np.arange(count)
+    first, second, cross = joint[k, :, k], joint[k + count, :, k + count], joint[k + count, :, k]
+    motion = se2.between(poses[at], poses[at + 1])
+    back = se2.adjoint(se2.inverse(motion))
+    cross = cross @ back.swapaxes(1, 2)
+    posterior = second - cross - cross.swapaxes(1, 2) + back @ first @ back.swapaxes(1, 2)
+    drop = _drop(
+        se2.between(delta[step], motion), np.asarray(np.linalg.inv(information[step])), posterior
+    ) / chi2_limit(3)
+    return [Suspect(key, keyframe, float(t)) for (key, keyframe, _), t in zip(rows, drop, strict=True)]
 
 
 def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, int, int]]:
@@ -100,15 +100,14 @@ def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, in
     return rows
 
 
-def _drop(u: Array, q: Array, c: Array) -> float:
-    """uᵀ(Q − C)⁻¹u over the directions that the rest of the window determines."""
+def _drop(u: Array, q: Array, c: Array) -> Array:
+    """uᵀ(Q − C)⁻¹u (K,) over the directions that the rest of the window determines; u (K, 3), q and c (K, 3, 3)."""
     root = np.linalg.cholesky(q)
-    white = np.linalg.solve(root, u)
-    left = np.eye(3) - np.linalg.solve(root, np.linalg.solve(root, c).T)
-    values, vectors = np.linalg.eigh((left + left.T) / 2)
-    part = vectors.T @ white
-    use = values > NEAR_RANK
-    return float(np.sum(part[use] ** 2 / values[use]))
+    white = np.linalg.solve(root, u[..., None])
+    left = np.eye(3) - np.linalg.solve(root, np.linalg.solve(root, c).swapaxes(1, 2))
+    values, vectors = np.linalg.eigh((left + left.swapaxes(1, 2)) / 2)
+    part = (vectors.swapaxes(1, 2) @ white)[..., 0]
+    return np.asarray(np.sum(np.where(values > NEAR_RANK, part**2 / np.maximum(values, NEAR_RANK), 0.0), axis=1))
 
 
 def _rejected(history: History, window: Window, poses: Array, g: float) -> list[Suspect]:

@@ -37,6 +37,8 @@ def advance(
     previous: the clusters of the node before. since: from when on tracks count that were cut off [s]. boundary: where
     the next node's window starts [s].
     """
+    if len(components) < 2:
+        return list(components), []
     members = {key: k for k, component in enumerate(components) for key in component.tracks}
     step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g, since)
     kept, clusters = list(range(len(components))), []

@@ -1,7 +1,8 @@
 """Bounds on poses, c(x) ≤ 0: distances of pairs, speeds, workspaces. METHOD §5.
 
-c = (|axes ∘ (p − centre)|² − limit²) / (2 limit), p the position of pose j in the frame of pose i: near the bound it
-is the excess in metres. It is quadratic in p, so μ c is a relative-pose factor.
+c = |axes ∘ (p − centre)| − limit [m], p the position of pose j in the frame of pose i. What holds a pose to a bound,
+½ ρ max(0, c + m)², is a range of limit − m with σ = 1/√ρ and a kernel that lets shorter distances be: any solver
+takes it.
 """
 
 from __future__ import annotations
@@ -12,8 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgorl import se2
-from dgorl.optimization.problem import Indices, RelativePoses
+from dgorl.optimization.problem import Indices, Loss, Scalars
 from dgorl.se2 import Array
+
+NEAREST = 1e-3
+"""Directions are bounded where a pose is this close to the centre [m]."""
+FAR = 1e4
+"""A side of a box is a circle of this radius [m] that touches it opposite the pose."""
+ONE_SIDED = Loss("huber_negative", 1e-12)
+"""Shorter distances than the bound weigh nothing: the force left on them is this width · √ρ."""
 
 
 @dataclass(frozen=True)
@@ -33,31 +41,43 @@ class Constraints:
         return len(self.limit)
 
     def values(self, poses: Array) -> Array:
-        """c (M,) at the poses (N, 3): ≤ 0 where the bound is kept, else about the excess [m]."""
-        off = self.axes * (self._positions(poses) - self.centre)
-        return np.asarray(((off**2).sum(axis=1) - self.limit**2) / (2 * self.limit))
+        """c (M,) at the poses (N, 3): ≤ 0 where the bound is kept, else the excess [m]."""
+        return np.asarray(np.hypot(*self._offsets(poses).T) - self.limit)
 
     def gradients(self, poses: Array) -> Array:
         """∂c (M, 6) by the right perturbations of pose i and pose j."""
-        seen = self._positions(poses)
-        pull = self.axes**2 * (seen - self.centre) / self.limit[:, None]
+        seen, off = self._positions(poses), self._offsets(poses)
+        pull = off / np.maximum(np.hypot(*off.T), NEAREST)[:, None]
         turned = np.einsum("mi,mij->mj", pull, se2.rotation(poses[self.j, 2] - poses[self.i, 2]))
         spin = pull[:, 0] * seen[:, 1] - pull[:, 1] * seen[:, 0]
         return np.concatenate([-pull, spin[:, None], turned, np.zeros((len(self), 1))], axis=1)
 
-    def factors(self, multipliers: Array) -> RelativePoses:
-        """μᵀc as factors, up to the constant −½ Σ μ limit."""
-        information = np.zeros((len(self), 3, 3))
-        information[:, [0, 1], [0, 1]] = self.axes**2 * (multipliers / self.limit)[:, None]
+    def factors(self, poses: Array, margin: Array, weight: float) -> Scalars:
+        """½ ρ max(0, c + m)² as ranges: margin m (M,) [m], weight ρ [1/m²].
+
+        A side of a box is straight only opposite the poses (N, 3): value and slope are right there, and the curvature
+        is 1/``FAR``.
+        """
+        seen, off = self._positions(poses), self._offsets(poses)
+        flat = self.axes.sum(axis=1) < 2
+        centre, limit = self.centre.copy(), self.limit.copy()
+        # From the side the pose is on, FAR back through the box.
+        back = np.where(off >= 0, 1.0, -1.0) * (self.limit - FAR)[:, None]
+        centre[flat] = np.where(self.axes > 0, self.centre + back, seen)[flat]
+        limit[flat] = FAR
         still = np.zeros((len(self), 3))
-        delta = np.concatenate([self.centre, still[:, :1]], axis=1)
-        return RelativePoses(self.i, self.j, still, still, delta, information)
+        at_i = np.concatenate([centre, still[:, :1]], axis=1)
+        sigma = np.full(len(self), weight**-0.5)
+        return Scalars("range", self.i, self.j, at_i, still, still[:, 0], limit - margin, sigma, ONE_SIDED)
 
     def __getitem__(self, rows: Indices) -> Constraints:
         return Constraints(self.i[rows], self.j[rows], self.centre[rows], self.axes[rows], self.limit[rows])
 
     def _positions(self, poses: Array) -> Array:
         return se2.between(poses[self.i], poses[self.j])[:, :2]
+
+    def _offsets(self, poses: Array) -> Array:
+        return np.asarray(self.axes * (self._positions(poses) - self.centre))
 
 
 def distances(i: Indices, j: Indices, maximum: float | Array) -> Constraints:
