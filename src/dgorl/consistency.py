@@ -75,9 +75,8 @@ def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
     back = se2.adjoint(se2.inverse(motion))
     cross = cross @ back.swapaxes(1, 2)
     posterior = second - cross - cross.swapaxes(1, 2) + back @ first @ back.swapaxes(1, 2)
-    drop = _drop(
-        se2.between(delta[step], motion), np.asarray(np.linalg.inv(information[step])), posterior
-    ) / chi2_limit(3)
+    claimed = np.asarray(np.linalg.inv(information[step]))
+    drop = _drop(se2.between(delta[step], motion), claimed, posterior) / chi2_limit(3)
     return [Suspect(key, keyframe, float(t)) for (key, keyframe, _), t in zip(rows, drop, strict=True)]
 
 

@@ -19,7 +19,8 @@ from dgorl.window import Window
 def optimum(configuration: Configuration, window: Window, select: Indices, tolerance: float) -> Solution:
     """A window's optimum within the limits, by the configured solver, and the covariance of selected poses.
 
-    Raises ValueError when the graph leaves a pose undetermined.
+    Its reason is ``converged`` only if the limits are kept; otherwise it is what exceeds them least, and the reason
+    says why. Raises ValueError when the graph leaves a pose undetermined.
     """
     if configuration.limits == Limits():
         return solve(window.problem, select, tolerance, configuration.solver)

@@ -41,10 +41,10 @@ STILL = 0.1
 RECENT = 20
 """Keyframes of a hypothesis that ticks optimise; what came before is a prior to them."""
 
-DRAFTS, IMPROVED, STARTS = 30, 10, 4
+DRAFTS, IMPROVED, STARTS = 20, 7, 3
 """Candidate graphs that are optimised coarsely, more so, and wholly, at a time."""
 
-WARM = 8
+WARM = 6
 """Warm particles of the best hypothesis."""
 
 REMEMBERED = 30.0

@@ -24,7 +24,7 @@ from dgorl.se2 import Array
 GRAPHS = 20
 """Candidate graphs that A* hands over."""
 
-MODES = 4
+MODES = 3
 """Places tried for a body that is re-seeded."""
 
 

@@ -26,9 +26,11 @@ EXCESS = 1e-7
 STEP = 1e-9
 """Largest last step of an optimisation under bounds [m, rad]: the excess is read off its optimum."""
 ROUNDS = 40
-"""At most this many dual steps; windows take 5 to 15."""
-ITERATIONS = 4000
-"""No further dual step after this many iterations of the solver."""
+"""At most this many rounds; windows take 5 to 15."""
+ITERATIONS = 1500
+"""No further round after this many iterations of the solver; windows take 50 to 500."""
+STILL = 1e-4
+"""No dual step is taken while the solver ran out of iterations and still moved the poses this far [m, rad]."""
 NEAR = 1.0
 """Bounds that are this far from being reached are left out [m], until they are nearer."""
 FIRST = 1e3
@@ -47,11 +49,12 @@ HARMLESS = 0.05
 
 @dataclass(frozen=True)
 class Constrained:
-    """An optimum under constraints: its multipliers μ (M,), largest excess [m], the last γ, and dual steps taken.
+    """An optimum under constraints: its multipliers μ (M,), largest excess [m], the last γ, and rounds taken.
 
     The solution's cost and covariance are those of Σ f_i alone: a bound says nothing of the spread inside it.
     Its reason is ``converged`` only if every bound is kept and every μ belongs to a bound that is reached. Otherwise
-    it is the round that exceeds them least, ``infeasible`` where no ρ could keep the bounds.
+    the poses are those of the round that exceeds the bounds least, and the reason says what ended the search:
+    ``infeasible``, no ρ was enough, or ``max_iterations``.
     """
 
     solution: Solution
@@ -87,13 +90,14 @@ def constrained(
         found = solve(held, np.zeros(0, np.int64), STEP, solver)
         iterations += found.iterations
         excess = constraints.values(found.poses)
-        settled = found.reason != "max_iterations"
-        multipliers = np.where(near, np.maximum(0.0, kept + rho * excess), 0.0) if settled else point.multipliers
+        settled = found.reason in ("converged", "stalled")
+        arrived = settled or float(np.abs(found.poses - point.poses).max()) < STILL
+        multipliers = np.where(near, np.maximum(0.0, kept + rho * excess), 0.0) if arrived else point.multipliers
         before, point = point.off, _Point(multipliers, found.poses, excess, settled)
         best = min(best, point, key=lambda p: (max(p.violation, EXCESS), p.off))
         if point.settled and point.off < EXCESS:
             best, reason = point, "converged"
-        elif settled and point.off > SHRINKING * before:
+        elif arrived and point.off > SHRINKING * before:
             rho *= GROWTH
             reason = "infeasible" if rho > LAST else reason
     cost = native.graph(problem).cost(best.poses)
