@@ -14,13 +14,13 @@ from __future__ import annotations
 import argparse
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from dgorl import Configuration, Localizer, Range
 from dgorl.configuration import merge
-from dgorl.estimate import Status
+from dgorl.estimate import Estimate, Status
 from dgorl.measurements import Measurement, known_at
 from dgorl.optimization import native
 from dgorl.optimization.problem import Problem
@@ -41,13 +41,12 @@ def feed(steps: int, sensor: str) -> tuple[list[Measurement], Configuration]:
     return sorted([*known_starts(log), *log.measurements], key=known_at), configuration
 
 
-def ticks(steps: int) -> tuple[Array, float]:
-    """CPU time of every steady tick [s], and of the worst rewind."""
-    measurements, configuration = feed(steps, "rssi")
-    localizer = Localizer("r1", configuration)
+def timed(
+    localizer: Localizer, measurements: Iterable[Measurement], steps: int
+) -> Iterator[tuple[float, Estimate, float]]:
+    """Stamp [s], estimate and CPU time [s] of every tick, the measurements since the last one included."""
     waiting = iter([*measurements, None])
     measurement = next(waiting)
-    spent = []
     gc.collect()
     for k in range(1, steps + 1):
         now = k * 0.5
@@ -55,10 +54,16 @@ def ticks(steps: int) -> tuple[Array, float]:
         while measurement is not None and known_at(measurement) <= now:
             localizer.add(measurement)
             measurement = next(waiting)
-        localizer.update(now)
-        if now > STEADY:
-            spent.append(time.process_time() - began)
-    now = (np.floor(now / 5) + 1) * 5 + 1.0
+        estimate = localizer.update(now)
+        yield now, estimate, time.process_time() - began
+
+
+def ticks(steps: int) -> tuple[Array, float]:
+    """CPU time of every steady tick [s], and of the worst rewind."""
+    measurements, configuration = feed(steps, "rssi")
+    localizer = Localizer("r1", configuration)
+    spent = [took for now, _, took in timed(localizer, measurements, steps) if now > STEADY]
+    now = (np.floor(steps * 0.5 / 5) + 1) * 5 + 1.0
     began = time.process_time()
     localizer.add(Range("r1", "r2", now - 175.0, 10.0, 5.0))
     localizer.update(now)
@@ -69,22 +74,12 @@ def unjoined_ticks(seed: int, steps: int = 300) -> list[float]:
     """CPU time of r1's ticks while a peer is not joined [s], unknown starts, k = 3."""
     log = simulate(Scenario(steps=steps, seed=seed))
     configuration = merge(merge(Configuration(), log.configuration, "the simulated log"), {"candidates": 3}, "here")
-    localizer = Localizer("r1", configuration)
-    waiting = iter([*sorted(log.measurements, key=known_at), None])
-    measurement = next(waiting)
     spent = []
-    gc.collect()
-    for k in range(1, steps + 1):
-        now = k * 0.5
-        began = time.process_time()
-        while measurement is not None and known_at(measurement) <= now:
-            localizer.add(measurement)
-            measurement = next(waiting)
-        estimate = localizer.update(now)
-        took = time.process_time() - began
-        if len(estimate) == 4 and all(peer.status not in UNJOINED for peer in estimate.values()):
+    for _, estimate, took in timed(Localizer("r1", configuration), sorted(log.measurements, key=known_at), steps):
+        statuses = [peer.status for peer in estimate.values()]
+        if len(statuses) == 4 and not any(status in UNJOINED for status in statuses):
             break
-        if any(peer.status is Status.AMBIGUOUS for peer in estimate.values()):
+        if Status.AMBIGUOUS in statuses:
             spent.append(took)
     return spent
 

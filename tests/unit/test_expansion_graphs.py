@@ -11,7 +11,7 @@ from dgorl import Configuration, Displacement, Range, Rssi, se2
 from dgorl.configuration import merge
 from dgorl.expansion import drafts
 from dgorl.expansion.candidates import candidates
-from dgorl.expansion.cluster_graph import ClusterGraph, cluster_graph, moved
+from dgorl.expansion.cluster_graph import ClusterGraph, cluster_graph
 from dgorl.expansion.decimated import SPACING, Decimated, decimated
 from dgorl.history import History
 from dgorl.radio import range_to_rssi
@@ -61,7 +61,8 @@ def cluster(history: History, starts: Array = STARTS) -> tuple[ClusterGraph, Arr
     groups = [c.tracks for c in components]
     union = Component({key: stretch for c in components for key, stretch in c.stretches.items()})
     graph = cluster_graph(history, union, groups, FIRST, LAST / 2)
-    placed = moved(union, {key: start for (key,), start in zip(groups, starts, strict=True)})
+    places = {key: start for (key,), start in zip(groups, starts, strict=True)}
+    placed = Component({key: s._replace(poses=se2.compose(places[key], s.poses)) for key, s in union.stretches.items()})
     return graph, graph.start(placed)
 
 

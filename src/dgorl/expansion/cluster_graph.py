@@ -6,7 +6,7 @@ every reading since ``base``; a hypothesis is one of its optima.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
@@ -143,12 +143,3 @@ def _farthest(history: History, window: Window) -> float:
             distance = s.value if s.kind == "range" else rssi_to_range(s.value, radio)
             farthest = max(farthest, float(distance.max()))
     return farthest
-
-
-def moved(component: Component, transforms: Mapping[TrackKey, Array]) -> Component:
-    """A component with each track's poses moved rigidly."""
-    stretches = {
-        key: stretch._replace(poses=se2.compose(transforms[key], stretch.poses)) if key in transforms else stretch
-        for key, stretch in component.stretches.items()
-    }
-    return Component(stretches, component.priors, component.links)
