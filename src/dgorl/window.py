@@ -182,8 +182,10 @@ def extended(unit: Component, tracks: Mapping[TrackKey, Track], limit: float) ->
 def alone(track: Track, low: float, limit: float) -> Component:
     """A track by itself from ``low`` to ``limit`` [s], beginning at the origin."""
     core = track.core
-    first = core.first if low == -np.inf else max(core.first, int(np.floor(low * KEYFRAMES_PER_SECOND)))
-    delta, _ = _core.odometry([core], [first], [core.newest(limit)])
+    first, last = core.first, core.newest(limit)
+    if low > -np.inf:
+        first = min(max(first, int(np.floor(low * KEYFRAMES_PER_SECOND))), last)
+    delta, _ = _core.odometry([core], [first], [last])
     return Component({track.key: Stretch(first, _core.chain(np.zeros(3), delta))})
 
 

@@ -94,6 +94,9 @@ def test_every_robot_computes_the_same_team(log, configuration):
             np.testing.assert_array_equal(shared[peer].pose, found[localizer.robot][peer].pose)
             np.testing.assert_array_equal(shared[peer].covariance, found[localizer.robot][peer].covariance)
     a, b, c = log.robots
+    doubted = any("inconsistent" in peer.reason for estimate in found.values() for peer in estimate.values())
+    if doubted:  # the others are then seen without the suspect: two graphs, whose poses do not compose
+        return
     around = se2.compose(found[a][b].pose, found[b][c].pose)
     np.testing.assert_allclose(around, found[a][c].pose, atol=1e-9)
     np.testing.assert_allclose(se2.inverse(found[a][b].pose), found[b][a].pose, atol=1e-9)
