@@ -75,11 +75,11 @@ def expanded(step: Step, before: Cluster | None, components: Sequence[Component]
         new = [j for j, c in enumerate(added) if not c.stretches.keys() & known[0].stretches.keys()]
         starts = _with_new(step, graph, starts, new, k) if new else starts
         optima = distinct(graph.optimize(coarse.whole(coarse.optimize(starts).poses)))
-    optima = _searched(graph, coarse, optima, shapes.starts(drafts.cold(shapes, k)))
-    for _ in range(1 if unions else 2):
-        near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
-        places = np.concatenate([drafts.reseeded(near), drafts.mirrored(near), drafts.warm(near, optima[[0]], WARM)])
-        optima = _searched(graph, coarse, optima, near.starts(places))
+    starts = shapes.starts(drafts.cold(shapes, k)[:DRAFTS])
+    if optima is None:
+        optima = _searched(graph, coarse, None, starts)
+        starts = starts[:0]
+    optima = _searched(graph, coarse, optima, np.concatenate([starts, _near(step, graph, optima)]))
     other = passed(graph, optima.poses[0], base)
     optima = distinct(both(optima, graph.optimize(other))) if len(other) else optima
     return _cluster(step, graph, optima, union, base, before)
@@ -104,6 +104,18 @@ def retried(step: Step, component: Component) -> Component:
     return Component(stretches(graph.window, found.poses[best], None), component.priors, component.links)
 
 
+def _near(step: Step, graph: ClusterGraph, optima: Optima) -> Array:
+    """Starts (B, N, 3) from the best hypothesis: its mirror image, warm particles, and its bodies placed anew.
+
+    That last at every other node: the new data of 5 s seldom brings a new place.
+    """
+    near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
+    places = [drafts.mirrored(near), drafts.warm(near, optima[[0]], WARM)]
+    if step.index % 2:
+        places.append(drafts.reseeded(near))
+    return near.starts(np.concatenate(places))
+
+
 def _rigid(step: Step, union: Component, components: Sequence[Component]) -> Component:
     """Single tracks as odometry has them, joined components as a hypothesis does."""
     singles = {}
@@ -115,7 +127,7 @@ def _rigid(step: Step, union: Component, components: Sequence[Component]) -> Com
 
 def _searched(graph: ClusterGraph, coarse: Decimated, optima: Optima | None, starts: Array) -> Optima:
     """The best of the optima and of what candidate graphs lead to: coarsely all of them, wholly the few best."""
-    tried = coarse.optimize(starts[:DRAFTS])
+    tried = coarse.optimize(starts)
     found = coarse.improve(distinct(tried, IMPROVED, np.inf))
     if optima is None:
         return distinct(graph.optimize(coarse.whole(distinct(found, STARTS, COARSE).poses)))
