@@ -217,4 +217,7 @@ void bind(nb::module_& m) {
 
 }  // namespace dgorl::bindings
 
-NB_MODULE(_core, m) { dgorl::bindings::bind(m); }
+NB_MODULE(_core, m) {
+  nb::set_leak_warnings(false);  // who still holds a graph when the interpreter ends has not leaked it
+  dgorl::bindings::bind(m);
+}
