@@ -91,9 +91,9 @@ def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, in
         until = now
         for back in INTERVALS:
             since, begin = now - int(back * KEYFRAMES_PER_SECOND), max(first, window.base + 1)
-            steps = strain[offset + max(since, begin) - first : offset + min(until, first + count - 1) - first]
-            if len(steps):
-                keyframe = max(since, begin) + int(np.argmax(steps))
+            oldest, end = max(since, begin), min(until, first + count - 1)
+            if oldest < end:
+                keyframe = oldest + int(np.argmax(strain[offset + oldest - first : offset + end - first]))
                 rows.append((key, keyframe, offset + keyframe - first))
             until = since
     return rows

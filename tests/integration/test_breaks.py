@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dgorl import Range, Status, se2
+from dgorl import Configuration, Range, Status, se2
+from dgorl.configuration import merge
 from dgorl.consistency import chi2_limit
+from dgorl.localizer import Team
 from dgorl.marginal import settled, without
+from dgorl.replay import known_starts
+from dgorl.simulation import Scenario, simulate
 from tests.integration.driven import KNOWN, every, localizers, position_error, wandering, watched
 from tests.integration.teams import simulated
 
@@ -186,3 +190,16 @@ def test_without_a_robot_the_others_keep_their_poses_and_what_was_known_of_them(
     rows = [3 * full.members.index(key) + k for key in mine.members for k in range(3)]
     expected = np.linalg.inv(full.information)[np.ix_(rows, rows)]
     np.testing.assert_allclose(np.linalg.inv(mine.information), expected, rtol=1e-3, atol=1e-9)
+
+
+def test_a_window_that_has_just_begun_at_a_node():
+    """The first node may see two keyframes a robot: no step of theirs is old enough to be tested."""
+    log = simulate(Scenario(robots=5, steps=6))
+    team = Team(merge(Configuration(), log.configuration, "log"))
+    for measurement in [*known_starts(log), *log.measurements]:
+        stamps = {
+            name: getattr(measurement, name) + 4.56 for name in ("start", "end", "stamp") if hasattr(measurement, name)
+        }
+        team.add(replace(measurement, **stamps))
+    state = team.update(7.57)
+    assert all(peer.status in KNOWN for peer in team.view("r1", state, 7.57).values())
