@@ -19,6 +19,7 @@ from dgorl.errors import ConfigurationError
 
 Kernel = Literal["none", "huber", "cauchy", "huber_negative", "cauchy_negative"]
 Solver = Literal["native", "g2o", "gtsam"]
+Clock = Literal["shared", "estimated"]
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,8 @@ class Configuration:
     """of everything that is drawn by chance"""
     solver: Solver = "native"
     """what optimises the graph: the C++ core; g2o and gtsam find the same optimum, slowly, for comparison"""
+    clock: Clock = "shared"
+    """shared: all stamps are on one clock; estimated: each robot's clock is placed by clock readings (METHOD §1)"""
     motion: Motion = field(default_factory=Motion)
     radio: Radio = field(default_factory=Radio)
     ranging: Ranging = field(default_factory=Ranging)

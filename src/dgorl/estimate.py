@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from types import MappingProxyType
 
 from dgorl.se2 import Array
 
@@ -72,11 +73,25 @@ class OptimizedGraph:
     adjacency: Array
 
 
+@dataclass(frozen=True)
+class ClockState:
+    """A robot's clock where clocks are estimated: team time = own time + offset [s], changing by drift [s/s].
+
+    sigma: of the offset [s]. epoch: the clock's.
+    """
+
+    epoch: int
+    offset: float
+    drift: float
+    sigma: float
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate(Mapping[str, PeerEstimate]):
     """What ``robot`` knows of its peers at ``stamp`` [s]; a mapping from peer to PeerEstimate.
 
-    rejected: measurements turned down since the start, by reason.
+    rejected: measurements turned down since the start, by reason. clocks: of all robots placed, where they are
+    estimated (``clock: estimated``).
     """
 
     robot: str
@@ -84,6 +99,7 @@ class Estimate(Mapping[str, PeerEstimate]):
     peers: Mapping[str, PeerEstimate]
     rejected: Mapping[str, int]
     _graph: Callable[[], OptimizedGraph] = field(repr=False, compare=False)
+    clocks: Mapping[str, ClockState] = field(default_factory=lambda: MappingProxyType({}))
 
     def __getitem__(self, peer: str) -> PeerEstimate:
         return self.peers[peer]

@@ -11,7 +11,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from dgorl import se2
+from dgorl import _core, se2
 from dgorl.configuration import Configuration
 from dgorl.measurements import (
     WORLD,
@@ -105,6 +105,32 @@ class History:
             table.forget(before)
         self._seen = {bucket: seen for bucket, seen in self._seen.items() if (bucket + 1) * SEEN > before}
 
+    def rewind(self, since: float) -> None:
+        """Forget what is stamped after ``since`` [s], as if it had never come; it may come anew.
+
+        Where readings are thinned, ``since`` is a border of their bins: what they replaced is not known any more.
+        """
+        self.poses = [pose for pose in self.poses if pose.stamp <= since]
+        self._inbox = [item for item in self._inbox if item[0] <= since]
+        self._seen = {bucket: {m for m in seen if known_at(m) <= since} for bucket, seen in self._seen.items()}
+        for trail in self.trails.values():
+            trail.rewind(since)
+            self._number(trail)
+        self.trails = {robot: trail for robot, trail in self.trails.items() if trail.tracks}
+        for table in self.tables.values():
+            table.rewind(since)
+            for robot in self.trails:
+                table.displace(robot)
+            table.place(self._heard_trails)
+
+    def _number(self, trail: Trail) -> None:
+        for track in trail.tracks:
+            track.core.number = self.numbers.setdefault(track.key, len(self.numbers))
+
+    @property
+    def _heard_trails(self) -> list[_core.Trail | None]:
+        return [self.trails[name].core if name in self.trails else None for name in self._heard]
+
     def _waits(self, pose: RelativePose, before: float) -> bool:
         """Whether a known start holds for a track that has not begun, or begins after ``before`` [s]."""
         placed = self.placed(pose) if pose.prior else None
@@ -172,12 +198,11 @@ class History:
             if robot not in self.trails:
                 self.trails[robot] = Trail(robot, self.configuration.motion, self._silence)
             in_order = self.trails[robot].add(odometry[robot])
-            for track in self.trails[robot].tracks:
-                track.core.number = self.numbers.setdefault(track.key, len(self.numbers))
+            self._number(self.trails[robot])
             if not in_order:
                 for table in self.tables.values():
                     table.displace(robot)
-        trails = [self.trails[name].core if name in self.trails else None for name in self._heard]
+        trails = self._heard_trails
         for kind, table in self.tables.items():
             dirty = min(dirty, table.add(readings[kind]))
             table.place(trails)

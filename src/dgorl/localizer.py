@@ -11,8 +11,9 @@ from dgorl.estimate import Estimate
 from dgorl.expansion.step import SPACING
 from dgorl.expansion.ticks import hypotheses_now
 from dgorl.history import History
-from dgorl.measurements import LARGEST, Measurement
+from dgorl.measurements import LARGEST, ClockKey, ClockReading, Measurement
 from dgorl.nodes import Memo, Node
+from dgorl.stages import FORMATION, OPTIMISATION, stage
 from dgorl.team_state import TeamState, team_state
 from dgorl.view import ClusterNow, TeamNow, View
 from dgorl.window import Component, grow
@@ -30,9 +31,22 @@ class Team:
         self._memo = Memo(self.history)
         self._last_node = -np.inf
 
-    def add(self, measurement: Measurement) -> None:
-        """Take a measurement, own or received, in any order, twice without harm."""
+    def add(self, measurement: Measurement, clock: ClockKey | None = None) -> None:
+        """Take a measurement, own or received, in any order, twice without harm.
+
+        clock: whose clock its stamps are on; this team's is shared by all (see :mod:`dgorl.team_time`).
+        """
         self.history.add(measurement)
+
+    def add_reading(self, reading: ClockReading) -> None:
+        """Take a clock reading; a shared clock needs none."""
+
+    def add_birth(self, clock: ClockKey, stamp: float) -> None:
+        """Say when a clock began, on that clock [s]; a shared one needs it not."""
+
+    def team_now(self, robot: str, epoch: int, local_now: float) -> float | None:
+        """Team time when that clock shows ``local_now`` [s], None while it is not placed."""
+        return local_now
 
     def update(self, now: float) -> TeamNow:
         """Alg. 3 at ``now`` [s]. Formation, expansion and optimisation are the node's; it is carried on to now.
@@ -42,15 +56,30 @@ class Team:
         if not abs(now) <= LARGEST:
             raise ValueError(f"now must be a time in seconds, got {now}")
         g = self._memo.due(now)
-        self._receive(now, g)  # motion and observability information of the connected robots
+        with stage(FORMATION):
+            self._receive(now, g)  # motion and observability information of the connected robots
         node = self._memo.node(g)  # who is in contact, candidate graphs over the horizon, their optimisation
+        with stage(OPTIMISATION):
+            return self._carried_on(node, self._memo.low(g), now)
+
+    def view(self, robot: str, state: TeamNow, now: float) -> Estimate:
+        """The team as one robot sees it."""
+        return View(self.history, state, robot, now).estimate()
+
+    def _carried_on(self, node: Node, low: float, now: float) -> TeamNow:
         clusters = [ClusterNow(tuple(hypotheses_now(self.history, c, now)), c.motion) for c in node.clusters]
         return TeamNow(
-            tuple(self._joined(node.components, node, self._memo.low(g), now)),
+            tuple(self._joined(node.components, node, low, now)),
             tuple(cluster for cluster in clusters if cluster.hypotheses),
             frozenset(node.suspects),
-            tuple(self._joined(node.doubted.values(), node, self._memo.low(g), now)) if node.doubted else (),
+            tuple(self._joined(node.doubted.values(), node, low, now)) if node.doubted else (),
         )
+
+    def _rewind(self, since: float) -> None:
+        """Forget what is stamped after ``since`` [s], a node's time; what comes anew is admitted at once."""
+        self.history.rewind(since)
+        self._memo.invalidate(since)
+        self._last_node = -np.inf
 
     def _receive(self, now: float, g: float) -> None:
         self._memo.invalidate(self.history.admit(now, node_due=g > self._last_node))
@@ -83,9 +112,9 @@ class Localizer:
         self.robot = robot
         self.team = team or Team(config)
 
-    def add(self, measurement: Measurement) -> None:
+    def add(self, measurement: Measurement, clock: ClockKey | None = None) -> None:
         """Take a measurement, own or received, in any order, twice without harm; nothing is computed yet."""
-        self.team.add(measurement)
+        self.team.add(measurement, clock)
 
     def update(self, now: float) -> Estimate:
         """Every peer's relative pose at ``now`` [s] (Alg. 3: formation → expansion → optimisation)."""
@@ -93,4 +122,4 @@ class Localizer:
 
     def view(self, team: TeamNow, now: float) -> Estimate:
         """The team as this robot sees it."""
-        return View(self.team.history, team, self.robot, now).estimate()
+        return self.team.view(self.robot, team, now)

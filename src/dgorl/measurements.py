@@ -193,6 +193,31 @@ class RelativePose:
         _covariance(self.covariance)
 
 
+ClockKey = tuple[str, int]
+"""Whose clock a stamp is on: a robot and its epoch. A robot that lost its memory begins a new epoch, and clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """A message of ``peer`` that ``robot`` heard: ``sent`` on the peer's clock, ``received`` on the robot's own [s].
+
+    Epochs are those of the clocks, 64 bits. A reading places clocks (METHOD §1), nothing else: no robot is measured.
+    """
+
+    robot: str
+    epoch: int
+    peer: str
+    peer_epoch: int
+    sent: float
+    received: float
+
+    def __post_init__(self) -> None:
+        _pair(self.robot, self.peer)
+        _finite(sent=self.sent, received=self.received)
+        for epoch in (self.epoch, self.peer_epoch):
+            _require(0 <= epoch < 2**64, f"a clock's epoch must be a whole number from 0 to 2^64, got {epoch}")
+
+
 Measurement = Odometry | Displacement | Rssi | Range | Bearing | RelativePose
 
 

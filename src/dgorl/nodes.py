@@ -18,6 +18,7 @@ from dgorl.expansion.hypotheses import Cluster
 from dgorl.expansion.step import SPACING, Step
 from dgorl.history import History
 from dgorl.marginal import settled, without
+from dgorl.stages import EXPANSION, OPTIMISATION, stage
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Component, alone, extended, grow
 
@@ -82,7 +83,8 @@ class Memo:
             node = Node((ceil(self._earliest / SPACING) - 1) * SPACING)
         while node.stamp < g:
             quiet = self._quiet_until(node, g)
-            node = self._advance(node) if quiet is None else replace(node, stamp=quiet)
+            with stage(OPTIMISATION):
+                node = self._advance(node) if quiet is None else replace(node, stamp=quiet)
             self._nodes[node.stamp] = node
         return node
 
@@ -124,7 +126,8 @@ class Memo:
                 suspects[seen.key] = seen
                 doubted |= {seen.key: rest} if rest is not None and len(rest.tracks) > 1 else {}
         clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
-        components, clusters = advance(self._history, clusters, found, since, g, boundary)
+        with stage(EXPANSION):
+            components, clusters = advance(self._history, clusters, found, since, g, boundary)
         return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects, doubted)
 
     def _optimised(

@@ -143,6 +143,13 @@ class Table:
             self._unplaced = {row - first for row in self._unplaced if row >= first}
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp >= before}
 
+    def rewind(self, since: float) -> None:
+        """Drop rows stamped after ``since`` [s]."""
+        first = bisect.bisect_right(self._order, since, key=lambda order: order[0])
+        if first < len(self._order):
+            self._rearrange(first, [])
+            self._best = {slot: best for slot, best in self._best.items() if best[1].stamp <= since}
+
     def _slot(self, reading: Reading) -> tuple[tuple[object, ...], tuple[object, ...]]:
         """What the reading competes for, and its merit there (smallest wins)."""
         stamp, a, b = reading.stamp, reading.a, reading.b

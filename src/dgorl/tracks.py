@@ -87,6 +87,14 @@ class Trail:
         del self._rows[: min(keep, len(self._rows) - 1)]
         self._name()
 
+    def rewind(self, since: float) -> None:
+        """Forget the odometry that ended after ``since`` [s]."""
+        self._rows = [row for row in self._rows if row[1] <= since]
+        self.core.restart()
+        if self._rows:
+            self.core.extend(np.array(self._rows))
+        self._name()
+
     def _name(self) -> None:
         tracks = self.core.tracks
         if len(tracks) != len(self.tracks) or any(a is not b.core for a, b in zip(tracks, self.tracks, strict=True)):

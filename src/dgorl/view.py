@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
-from dgorl.estimate import Estimate, PeerEstimate, Status
+from dgorl.estimate import ClockState, Estimate, PeerEstimate, Status
 from dgorl.expansion.hypotheses import Motion
 from dgorl.expansion.ticks import Weighed
 from dgorl.formation import contacts, rpmg
@@ -20,6 +21,9 @@ from dgorl.se2 import Array
 from dgorl.status import advice, ambiguous_reason, joined_status
 from dgorl.team_state import TeamState
 from dgorl.tracks import Track, TrackKey
+
+UNPLACED = ("its clock is not known yet", "exchange messages both ways")
+"""Reason and way out while a robot's stamps cannot be told in team time."""
 
 Relative = Mapping[TrackKey, tuple[Array, Array]]
 """T_ego_peer (3,) and its covariance (3, 3) in the ego's frame, by track."""
@@ -42,6 +46,10 @@ class TeamNow:
     suspects: frozenset[TrackKey] = frozenset()
     doubted: tuple[TeamState, ...] = ()
     """of the components with a suspect, what the others are without it"""
+    clocks: Mapping[str, ClockState] = field(default_factory=lambda: MappingProxyType({}))
+    """where clocks are estimated, those of all robots placed"""
+    unplaced: frozenset[str] = frozenset()
+    """robots heard of whose clock is not placed yet"""
 
 
 class View:
@@ -65,6 +73,8 @@ class View:
         """Every peer that was ever heard of, and the optimised graph."""
         history = self._history
         peers = {}
+        for name in sorted(self._team.unplaced - {self._robot}):
+            peers[name] = PeerEstimate(None, None, Status.ISOLATED, 0.0, 0.0, *UNPLACED)
         for name in sorted(history.trails):
             track = _current(history, name, self._now)
             if name != self._robot and track is not None:
@@ -74,13 +84,18 @@ class View:
             status, reason = joined_status(self._robot, pose, covariance, history.configuration)
             peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
         graph = (self._robot, self._own, self._state, self._relative)
-        return Estimate(self._robot, self._now, peers, dict(history.rejected), lambda: optimized_graph(*graph))
+        rejected = dict(history.rejected)
+        return Estimate(
+            self._robot, self._now, peers, rejected, lambda: optimized_graph(*graph), clocks=self._team.clocks
+        )
 
     def _peer(self, track: Track) -> PeerEstimate:
         """METHOD §3, Status."""
         configuration = self._history.configuration
         age = max(self._now - (track.end - configuration.motion.lag), 0.0)
         if self._own is None:
+            if self._robot in self._team.unplaced:
+                return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "our clock is not known yet", UNPLACED[1])
             return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no odometry of our own", "drive")
         if age > configuration.status.age:
             reason = f"no odometry from {track.key.robot} for {age:.0f} s"

@@ -14,6 +14,7 @@ from dgorl.expansion.step import Step, internal_links, restricted
 from dgorl.formation import contacts
 from dgorl.history import History
 from dgorl.marginal import settled
+from dgorl.stages import FORMATION, stage
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Component, Prior
 
@@ -43,7 +44,9 @@ def advance(
     step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g, since)
     kept, clusters = list(range(len(components))), []
     joined: list[Component] = []
-    for linked, first in _linked(step, members):
+    with stage(FORMATION):
+        sets = _linked(step, members)
+    for linked, first in sets:
         mine = [components[k] for k in linked]
         before = _before(previous, mine)
         try:
