@@ -13,6 +13,7 @@ from dgorl import logs, se2
 from dgorl.errors import LogError
 from dgorl.logs import Log, Start
 from dgorl.measurements import Bearing, Displacement, Odometry, Range, Rssi, known_at
+from dgorl.terrain import Altitude
 
 ODOMETRY = "t,robot,v,omega\n0,r1,0.5,0.1\n0.5,r2,0.4,0.2\n1,r1,0.6,0\n2.5,r2,0,0\n9,r1,0,0\n"
 
@@ -99,9 +100,12 @@ def test_starts_of_the_team_come_before_those_of_truth(tmp_path: Path) -> None:
     assert logs.read(folder(tmp_path, **{"team.yaml": team})).starts == {"r1": Start(0.25, (7.0, 8.0, 9.0))}
 
 
-def test_altitude_is_left_out_by_name(tmp_path: Path) -> None:
-    folder(tmp_path, **{"altitude.csv": "t,robot,height,sigma\n0,r1,1,1\n1,r1,1,1\n", "terrain.npz": ""})
-    assert logs.read(tmp_path).skipped == {"altitude.csv": 2, "terrain.npz": 1}
+def test_altitudes_are_no_measurements_of_the_team(tmp_path: Path) -> None:
+    folder(tmp_path)
+    without = logs.read(tmp_path)
+    log = logs.read(folder(tmp_path, **{"altitude.csv": "t,robot,height,sigma\n0,r1,-1.5,1\n1,r2,1,0.5\n"}))
+    assert log.altitudes == (Altitude("r1", 0.0, -1.5, 1.0), Altitude("r2", 1.0, 1.0, 0.5))
+    assert (log.measurements, log.skipped, log.terrain) == (without.measurements, without.skipped, None)
 
 
 def test_settings_of_the_log(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from dgorl.configuration import nearest
+
 T = TypeVar("T")
 
 _NONE = ""
@@ -22,6 +24,24 @@ LogArgument = Positional[Annotated[Path, arg(metavar="LOG")]]
 Names = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME", help_behavior_hint="(repeatable)")]]
 Window = Annotated[str | None, arg(metavar="SECONDS|all", help_behavior_hint=_NONE)]
 Seed = Annotated[int | None, arg(metavar="INT", help_behavior_hint=_NONE)]
+
+
+def one_of(words: Sequence[str]) -> PrimitiveConstructorSpec[str]:
+    """An option that takes one of these words; for another one the nearest is named."""
+
+    def read(texts: list[str]) -> str:
+        if texts[0] not in words:
+            raise ValueError(f"`{texts[0]}` is none of {', '.join(words)}{nearest(texts[0], words)}")
+        return texts[0]
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="NAME",
+        instance_from_str=read,
+        is_instance=lambda value: value in words,
+        str_from_instance=lambda value: [value],
+    )
+
 
 _registry = ConstructorRegistry()
 

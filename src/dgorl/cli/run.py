@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 from tyro.conf import arg
 
 from dgorl import logs
-from dgorl.cli.parsing import File, Folder, LogArgument, Names, Seconds, Seed, Window
+from dgorl.baselines import NAMES
+from dgorl.cli.parsing import File, Folder, LogArgument, Names, Seconds, Seed, Window, one_of
 from dgorl.cli.session import Session, default_folder, report
 from dgorl.configuration import Solver
 from dgorl.errors import ConfigurationError
@@ -36,6 +37,9 @@ class Options:
     """use these alone; all in the log when not given"""
     solver: Solver = "native"
     """what optimises the graph; g2o and gtsam find the same optimum, slowly"""
+    estimator: Annotated[str, one_of(NAMES)] = "dgorl"
+    """dgorl, or a baseline: dead-reckoning, naive, ci, split-ci, trn, gtsam-fixed-lag; with unknown starts a baseline
+    begins at DGORL's first tracked poses"""
     window: Window = None
     """length of the window that is optimised, a multiple of 5 s (default: 30)"""
     history: Seconds = None
@@ -62,7 +66,7 @@ def main(options: Options) -> None:
     if options.truth is not None:
         log = dataclasses.replace(log, truth=logs.read_truth(options.truth, log.robots))
     out = options.out or default_folder(options.log)
-    session = Session(log, options.config, settings(options), options.initial, options.ego, out)
+    session = Session(log, options.config, settings(options), options.initial, options.ego, out, options.estimator)
     report(session, json_wanted=options.json)
 
 
@@ -73,11 +77,12 @@ def settings(options: Options) -> dict[str, Any]:
         if getattr(options, name) is not None:
             changes[name] = getattr(options, name)
     if options.window is not None:
-        changes["window"] = _window(options.window)
+        changes["window"] = window_of(options.window)
     return changes
 
 
-def _window(text: str) -> float | str:
+def window_of(text: str) -> float | str:
+    """Seconds, or all. Raises ConfigurationError."""
     if text == "all":
         return text
     try:

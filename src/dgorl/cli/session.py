@@ -32,6 +32,7 @@ class Session:
     initial: str
     egos: tuple[str, ...]
     out: Path
+    estimator: str = "dgorl"
 
     def configuration(self) -> Configuration:
         """Defaults < the log's own settings < YAML file < command line. Raises ConfigurationError."""
@@ -67,7 +68,7 @@ def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Pa
     Raises DgorlError; without matplotlib there are no pictures and a hint on ``errors``.
     """
     log, configuration = session.log, session.configuration()
-    ticks = replay(log, configuration, initial=session.initial, egos=session.egos or None)
+    ticks = replay(log, configuration, initial=session.initial, egos=session.egos or None, estimator=session.estimator)
     if not len(ticks):
         period = configuration.period
         raise DgorlError(f"{log.path}: nothing to localise: it ends within one period of {period} s")
@@ -77,10 +78,13 @@ def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Pa
         "log": str(log.path),
         "robots": list(log.robots),
         "initial": session.initial,
+        "estimator": session.estimator,
         "measurements": kinds_in(log),
         "solver": configuration.solver,
         "skipped": dict(log.skipped),
     }
+    if session.estimator != "dgorl" and session.initial == "unknown":
+        about["starts"] = "the first poses that dgorl tracked"
     summary = output.write(records, configuration, about, session.out)
     try:
         return summary, write_figures(records, session.out / "figures")

@@ -12,6 +12,7 @@ from dgorl.logs.mrclam import read_mrclam
 from dgorl.logs.pyfg import read_pyfg
 from dgorl.logs.truth import read_truth
 from dgorl.logs.writer import write_folder as write
+from dgorl.team.journal_schema import is_journal
 
 __all__ = ["Log", "Start", "in_order", "read", "read_truth", "select", "write"]
 
@@ -20,7 +21,7 @@ def read(path: str | Path, kinds: Collection[str] | None = None) -> Log:
     """The log at a path, its format guessed; ``kinds`` as in :func:`select`, None takes all.
 
     A dgorl log is a folder with team.yaml, an MRCLAM recording one with Barcodes.dat, a PyFG file ends
-    in ``.pyfg``.
+    in ``.pyfg``, a journal of the live team is an SQLite file that says so in its header.
     Raises LogError for anything that cannot be read, naming file and line.
     """
     log = _read(Path(path))
@@ -40,7 +41,11 @@ def _read(path: Path) -> Log:
     if names is None:
         if path.suffix == ".pyfg":
             return read_pyfg(path)
-        raise LogError(path, None, "not a log: give a dgorl log folder, an MRCLAM folder or a .pyfg file")
+        if is_journal(path):
+            from dgorl.logs.journal import read_journal  # the live team's packages are not needed else
+
+            return read_journal(path)
+        raise LogError(path, None, "not a log: give a dgorl log folder, an MRCLAM folder, a .pyfg file or a journal")
     if "team.yaml" in names:
         return read_folder(path)
     if "Barcodes.dat" in names:

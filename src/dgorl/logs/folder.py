@@ -1,4 +1,4 @@
-"""dgorl logs: a folder with team.yaml and odometry, rssi, ranges, bearings and groundtruth as CSV files."""
+"""dgorl logs: a folder with team.yaml and odometry, readings and groundtruth as CSV files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 from dgorl.errors import LogError
 from dgorl.logs.log import Log, Start, in_order
 from dgorl.logs.team import Team, read_team
-from dgorl.logs.text import Columns, Forward, Row, csv_rows, held_twist, text_of
+from dgorl.logs.terrain import read_altitudes, read_terrain
+from dgorl.logs.text import Columns, Forward, Row, csv_rows, held_twist
 from dgorl.logs.truth import first_odometry, read_truth, starts_from
 from dgorl.measurements import Bearing, Covariance, Displacement, Measurement, Odometry, Range, Rssi
 
@@ -22,8 +23,6 @@ RSSI: Columns = ("t", "from", "to", "rssi")
 RANGE: Columns = ("t", "from", "to", "range", "sigma")
 EXCHANGE: Columns = (*RANGE, "exchange")
 BEARING: Columns = ("t", "from", "to", "bearing", "sigma")
-
-IGNORED = ("altitude.csv", "terrain.npz")
 
 
 def read_folder(path: Path) -> Log:
@@ -49,11 +48,11 @@ def read_folder(path: Path) -> Log:
     truth = read_truth(path / "groundtruth.csv", team.robots) if (path / "groundtruth.csv").exists() else {}
     first = first_odometry(measurements)
     starts = starts_from(truth, first) if team.start is None else _starts(path, team, first)
-    for name in IGNORED:
-        if (path / name).exists():
-            skipped[name] = _count(path / name)
-    ordered = in_order(measurements)
-    return Log(path, team.robots, ordered, truth, starts, dict(team.configuration), dict(skipped))
+    return Log(
+        path, team.robots, in_order(measurements), truth, starts, dict(team.configuration), dict(skipped),
+        altitudes=read_altitudes(path / "altitude.csv", team.robots) if (path / "altitude.csv").exists() else (),
+        terrain=read_terrain(path / "terrain.npz") if (path / "terrain.npz").exists() else None,
+    )  # fmt: skip
 
 
 def _odometry(path: Path, team: Team, skipped: Counter[str]) -> Iterator[Odometry | Displacement]:
@@ -131,10 +130,3 @@ def _starts(path: Path, team: Team, first: Mapping[str, float]) -> dict[str, Sta
             raise LogError(path / "team.yaml", None, f"`start.{robot}` needs a `start_stamp`: {robot} has no odometry")
         starts[robot] = Start(stamp, pose)
     return starts
-
-
-def _count(path: Path) -> int:
-    """Rows of a CSV file that is not used, 1 for any other file."""
-    if path.suffix != ".csv":
-        return 1
-    return max(sum(bool(line.strip()) for line in text_of(path).split("\n")) - 1, 0)

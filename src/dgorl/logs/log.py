@@ -11,8 +11,19 @@ from typing import Any
 
 from dgorl.configuration import nearest
 from dgorl.errors import LogError
-from dgorl.measurements import Bearing, Displacement, Measurement, Odometry, Range, RelativePose, Rssi
+from dgorl.measurements import (
+    Bearing,
+    ClockKey,
+    ClockReading,
+    Displacement,
+    Measurement,
+    Odometry,
+    Range,
+    RelativePose,
+    Rssi,
+)
 from dgorl.se2 import Array
+from dgorl.terrain import Altitude, Terrain
 
 
 @dataclass(frozen=True)
@@ -24,13 +35,44 @@ class Start:
 
 
 @dataclass(frozen=True)
+class Part:
+    """Measurements that became known together. clock: whose clock they are stamped on, None where all share one;
+    readings of that clock against others came with them."""
+
+    measurements: tuple[Measurement, ...]
+    clock: ClockKey | None = None
+    readings: tuple[ClockReading, ...] = ()
+
+
+@dataclass(frozen=True)
+class Step:
+    """One tick of a live robot: what it admitted since the tick before, and when it looked, ``now`` [s] on its clock.
+
+    started: the clock of its program if that began here, knowing nothing but what it admits now.
+    """
+
+    now: float
+    admitted: tuple[Part, ...]
+    started: ClockKey | None = None
+
+
+@dataclass(frozen=True)
+class Live:
+    """What ``robot`` knew, and when: a replay follows these steps, not the stamps of the measurements."""
+
+    robot: str
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
 class Log:
     """A team's recording: measurements in the order they became known, and truth kept apart from them.
 
     truth: robot → (T, 4) of t, x, y, theta, rising t; empty where the log has none. Only
     :mod:`dgorl.evaluation` reads it. starts: the log's start poses, used by ``--initial known`` alone.
     configuration: nested settings the log itself states (radio, antennas, ...), over the defaults and under
-    the user's. skipped: rows left out, by reason.
+    the user's. skipped: rows left out, by reason. live: of a robot's journal, the order in which it learnt them.
+    altitudes, terrain: for terrain relative navigation alone.
     """
 
     path: Path
@@ -40,6 +82,9 @@ class Log:
     starts: Mapping[str, Start] = field(default_factory=lambda: MappingProxyType({}))
     configuration: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     skipped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    live: Live | None = None
+    altitudes: tuple[Altitude, ...] = ()
+    terrain: Terrain | None = None
 
 
 KINDS: Mapping[str, type[Range] | type[Bearing] | type[Rssi]] = MappingProxyType(
@@ -62,8 +107,20 @@ def select(log: Log, kinds: Collection[str]) -> Log:
             has = ", ".join(sorted(present)) or "none between robots"
             raise LogError(log.path, None, f"has no {kind} measurements; it has {has}")
     unwanted = tuple(kind for name, kind in KINDS.items() if name not in kinds)
-    kept = tuple(m for m in log.measurements if not isinstance(m, unwanted))
-    return dataclasses.replace(log, measurements=kept)
+    kept = _without(log.measurements, unwanted)
+    return dataclasses.replace(log, measurements=kept, live=log.live and _live_without(log.live, unwanted))
+
+
+def _live_without(live: Live, unwanted: tuple[type, ...]) -> Live:
+    def kept(step: Step) -> Step:
+        parts = (dataclasses.replace(p, measurements=_without(p.measurements, unwanted)) for p in step.admitted)
+        return dataclasses.replace(step, admitted=tuple(parts))
+
+    return dataclasses.replace(live, steps=tuple(kept(step) for step in live.steps))
+
+
+def _without(measurements: Iterable[Measurement], unwanted: tuple[type, ...]) -> tuple[Measurement, ...]:
+    return tuple(m for m in measurements if not isinstance(m, unwanted))
 
 
 def in_order(measurements: Iterable[Measurement]) -> tuple[Measurement, ...]:

@@ -9,10 +9,11 @@ from dgorl.errors import LogError
 from dgorl.logs import folder, truth
 from dgorl.logs.log import Log
 from dgorl.logs.team import SECTIONS, Team, team_text, valid_name
+from dgorl.logs.terrain import ALTITUDE, altitude_rows, terrain_bytes
 from dgorl.logs.text import Columns
 from dgorl.measurements import Bearing, Displacement, Odometry, Range, RelativePose, Rssi
 
-FILES = ("odometry.csv", "rssi.csv", "ranges.csv", "bearings.csv", "groundtruth.csv")
+FILES = ("odometry.csv", "rssi.csv", "ranges.csv", "bearings.csv", "altitude.csv", "terrain.npz", "groundtruth.csv")
 
 
 def write_folder(log: Log, path: str | Path) -> None:
@@ -29,6 +30,8 @@ def write_folder(log: Log, path: str | Path) -> None:
             (path / name).unlink(missing_ok=True)
         for name, text in contents.items():
             (path / name).write_text(text, encoding="utf-8")
+        if log.terrain is not None:
+            (path / "terrain.npz").write_bytes(terrain_bytes(log.terrain))
     except OSError as error:
         raise LogError(path, None, f"cannot be written: {error.strerror}") from error
 
@@ -83,11 +86,14 @@ def _tables(log: Log, path: Path) -> dict[str, str]:
         "rssi.csv": _table(folder.RSSI, ((m.stamp, m.transmitter, m.receiver, m.dbm) for m in rssi)),
         "ranges.csv": _ranges(ranges),
         "bearings.csv": _table(folder.BEARING, ((m.stamp, m.observer, m.target, m.bearing, m.sigma) for m in bearings)),
+        "altitude.csv": _table(ALTITUDE, altitude_rows(log.altitudes)),
         "groundtruth.csv": _table(
             truth.COLUMNS, ((row[0], robot, *row[1:]) for robot, rows in log.truth.items() for row in rows)
         ),
     }
     wanted = {"odometry.csv", *(name for name, given in _given(rssi, ranges, bearings).items() if given)}
+    if log.altitudes:
+        wanted.add("altitude.csv")
     if any(len(rows) for rows in log.truth.values()):
         wanted.add("groundtruth.csv")
     return {name: text for name, text in tables.items() if name in wanted}

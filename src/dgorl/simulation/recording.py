@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from dgorl.se2 import Array, wrap
 from dgorl.simulation.links import radio_of
 from dgorl.simulation.scenario import START_SIGMA, Scenario
 from dgorl.simulation.sensors import sense
+from dgorl.simulation.terrain import Landscape
 from dgorl.simulation.world import Trajectories, move
 
 
@@ -34,7 +36,11 @@ def simulate(scenario: Scenario) -> Log:
     truth = {name: np.column_stack([stamps, team.poses[:, k]]) for k, name in enumerate(scenario.names)}
     starts = {name: _known_start(scenario, name, team.poses[0, k]) for k, name in enumerate(scenario.names)}
     name = Path(f"simulation-{scenario.seed}")
-    return Log(name, scenario.names, in_order(measurements), truth, starts, _configuration(scenario), {})
+    log = Log(name, scenario.names, in_order(measurements), truth, starts, _configuration(scenario), {})
+    if not scenario.terrain:
+        return log
+    land = Landscape(scenario)
+    return replace(log, terrain=land.map(), altitudes=tuple(land.altitudes(team.poses[1:], stamps[1:])))
 
 
 def _odometry(scenario: Scenario, team: Trajectories, stamps: Array) -> Iterator[Displacement]:

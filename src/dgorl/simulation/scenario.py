@@ -76,8 +76,18 @@ class Scenario:
     """true motion = wheel_scale × reported"""
     wheel_lag: float = 0.0
     """true motion follows the reported one this much later [s]"""
+    odometry_noise: float = 1.0
+    """noise of a step, reported as such, in multiples of the paper's 0.1 m, 0.1 m, 0.5°"""
     teleport: str | None = None
     """NAME@T:METRES: at T [s] that robot is carried that far"""
+    terrain: bool = False
+    """also an elevation map and what an altimeter on each robot reads, for terrain relative navigation"""
+    relief: float = 2.0
+    """spread of the terrain's heights, 1σ [m]"""
+    terrain_length: float = 10.0
+    """way over which heights change: correlation length ℓ of exp(−d²/2ℓ²) [m]"""
+    altimeter_sigma: float = 0.1
+    """noise of altimeters [m]"""
     seed: int = 0
     """of everything drawn by chance"""
 
@@ -114,12 +124,15 @@ class Scenario:
     @property
     def odometry_sigma(self) -> tuple[float, float, float]:
         """Noise of a step that its odometry claims [m, m, rad]."""
-        return STANDING_SIGMA if self.motion == "static" else MOVING_SIGMA
+        if self.motion == "static":
+            return STANDING_SIGMA
+        x, y, heading = (self.odometry_noise * sigma for sigma in MOVING_SIGMA)
+        return x, y, heading
 
     @property
     def margin(self) -> float:
         """Robots turn this far from the border [m]: two steps, and room for noise."""
-        return self.speed * (2 * self.period + self.wheel_lag) + 5 * MOVING_SIGMA[0]
+        return self.speed * (2 * self.period + self.wheel_lag) + 5 * self.odometry_noise * MOVING_SIGMA[0]
 
     def carried(self) -> Teleport | None:
         """``teleport``, parsed. Raises ConfigurationError."""
