@@ -1,0 +1,375 @@
+"""Gossip: how bundles reach all robots. Digests say what a robot holds, others ask for what they lack. METHOD §6.
+
+A pure state machine: no sockets, threads, clock or files; ``now`` is the robot's local clock [s], which never runs
+backwards within an epoch. Everything is broadcast to those who hear, and may get lost, late, twice, reordered.
+
+- A robot's own bundles go out at once, again where neighbours' messages get lost.
+- A neighbour's are relayed if another neighbour does not hear that one; of those who could, one does, in turn.
+- What a digest or a gap in the numbers shows to be missing is asked for, of one holder, then of others.
+- Digests come every 2 s, every 0.5 s while something is missing anywhere or somebody is new.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from math import log
+from random import Random
+from typing import NamedTuple
+
+from dgorl.measurements import ClockReading
+from dgorl.team.bundles import Name, Sealed
+from dgorl.team.envelope import Rejected
+from dgorl.team.gate import Gate
+from dgorl.team.keys import Roster, Signer
+from dgorl.team.library import Library
+from dgorl.team.messages import Bundles, Digest, Key, Message, Requests, flat, unflat, write
+from dgorl.team.neighbours import Neighbour
+from dgorl.team.outbox import Outbox
+from dgorl.team.ranges import Ranges
+from dgorl.team.rates import Losses
+from dgorl.team.transport import Channel
+from dgorl.team.wants import AT_ONCE, Wants
+from dgorl.team.wire import LIMITS, Limits, short
+
+CHUNK = 12_000
+"""Bundles go together in messages of about this size [bytes]."""
+
+GATHER = 0.1
+"""Relays and answers wait this long [s] for others to go with."""
+
+JUST_SENT = 0.25
+"""A request for what was sent this long ago [s] crossed it."""
+
+OFTEN, SELDOM = 0.5, 2.0
+"""Shortest and longest time between digests [s]."""
+
+ASK_EVERY, TIDY_EVERY = 0.25, 5.0
+"""Times between looks at what is missing, and at what is too old [s]."""
+
+CANDIDATE_BUNDLES = 32
+"""Of an epoch that is not admitted yet, only the newest are asked for."""
+
+DIGEST_INTERVALS = 16
+"""A digest tells of so many intervals of an epoch, the newest."""
+
+ARRIVE = 0.8
+"""A bundle is repeated so often that it arrives with this probability ..."""
+
+MOST_COPIES = 16
+"""... but no more often than this."""
+
+PUSH = 0.6
+"""Where a larger share of the messages gets lost, a digest counts as a request."""
+
+SETTLING = 4
+"""The newest bundles of a neighbour's epoch may be on their way still."""
+
+
+class Outgoing(NamedTuple):
+    """A message to all who hear."""
+
+    channel: Channel
+    payload: bytes
+
+
+class Reaction(NamedTuple):
+    """What came of a message: bundles not known before, answers, clock readings, epochs admitted by it."""
+
+    new: tuple[Sealed, ...] = ()
+    send: tuple[Outgoing, ...] = ()
+    clocks: tuple[ClockReading, ...] = ()
+    admitted: tuple[Key, ...] = ()
+
+
+class Gossip:
+    """One robot's part. ``rejected`` counts by reason what came in and was not taken, ``counts`` what it did."""
+
+    def __init__(
+        self,
+        robot: str,
+        epoch: int,
+        roster: Roster,
+        signer: Signer,
+        configuration: bytes,
+        *,
+        history: float = 180.0,
+        limits: Limits = LIMITS,
+    ) -> None:
+        """configuration: 8 bytes, hash of what all must have in common. history: how far back peers catch up [s]."""
+        self.robot, self.epoch = robot, epoch
+        self.rejected: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
+        self._roster, self._signer, self._configuration = roster, signer, configuration
+        self._gate = Gate(robot, roster, configuration, limits)
+        self._library = Library((robot, epoch), roster, history, limits)
+        self._neighbours: dict[str, Neighbour] = {}
+        self._outbox, self._wants = Outbox(), Wants()
+        self._random = Random(f"{robot}:{epoch}")
+        self._number, self._stamp = 0, -float("inf")
+        self._digest_after, self._next_digest = OFTEN, -float("inf")
+        self._next_ask, self._next_tidy = -float("inf"), -float("inf")
+
+    # What comes in
+
+    def receive(self, channel: str, sender: str, payload: bytes, now: float) -> Reaction:
+        """Take a message; ``sender`` is who the network says it is, ``now`` when it came [s]. Never raises."""
+        if channel == "estimate":
+            return Reaction()
+        try:
+            message = self._gate.open(channel, sender, payload, self._library.admission, now)
+        except Rejected as rejected:
+            self.rejected[rejected.reason] += 1
+            return Reaction()
+        reading = ClockReading(self.robot, self.epoch, sender, message.epoch, message.stamp, now)
+        if not self._library.admission.admitted(message.key):
+            return self._from_candidate(message, now)._replace(clocks=(reading,))
+        self._hear(message, now)
+        try:
+            reaction = self._take(message, now)
+        except Rejected as rejected:
+            self.rejected[rejected.reason] += 1
+            reaction = Reaction()
+        return reaction._replace(send=(*reaction.send, *self._due(now)), clocks=(reading,))
+
+    def _from_candidate(self, message: Message, now: float) -> Reaction:
+        """A message of an epoch that is not admitted: only its own bundles are looked at."""
+        self._library.admission.heard(message.key, now)
+        self._library.admission.candidate(message.key)
+        if isinstance(message, Bundles):
+            for data in message.sealed:
+                self._open(data, message, now)
+        return self._admit(now)
+
+    def _take(self, message: Message, now: float) -> Reaction:
+        """A message of a neighbour."""
+        neighbour = self._neighbours[message.robot]
+        match message:
+            case Digest():
+                neighbour.digest(message)
+                lacking = self._lacks(neighbour, now)
+                if lacking:
+                    self._hasten(now)
+                if self.loss(now) > PUSH:
+                    self._send_all(lacking, now)
+            case Requests():
+                self._answer(message, now)
+            case Bundles():
+                new = [sealed for data in message.sealed if (sealed := self._open(data, message, now))]
+                for sealed in new:
+                    self._relay(sealed, message.robot, now)
+                reaction = self._admit(now)
+                return reaction._replace(new=(*new, *reaction.new))
+        return Reaction()
+
+    def _hear(self, message: Message, now: float) -> None:
+        """The sender is there, in its current epoch."""
+        neighbour = self._neighbours.get(message.robot)
+        if neighbour is None or neighbour.key != message.key:
+            neighbour = self._neighbours[message.robot] = Neighbour(message.key)
+        if neighbour.hear(message.number, now):
+            self._hasten(now)
+
+    def _open(self, data: bytes, message: Message, now: float) -> Sealed | None:
+        """One bundle of a message, if it is new and of an admitted epoch; others wait, or are counted."""
+        try:
+            name, sealed = self._library.open(data, message.key, now)
+        except Rejected as rejected:
+            self.rejected[rejected.reason] += 1
+            return None
+        if message.robot in self._neighbours:
+            self._neighbours[message.robot].showed(name)
+        return sealed
+
+    def _admit(self, now: float) -> Reaction:
+        """Let in the epochs that are proved to live."""
+        new, admitted = self._library.admit(now)
+        for sealed in new:
+            self._relay(sealed, sealed.bundle.robot, now)
+        if admitted:
+            self._hasten(now)
+        return Reaction(tuple(new), admitted=tuple(admitted))
+
+    # What goes out
+
+    def publish(self, sealed: Sealed, now: float) -> tuple[Outgoing, ...]:
+        """Send a bundle of one's own, which the journal holds already."""
+        self._library.keep(sealed, now)
+        name = sealed.bundle.name
+        self._outbox.add(name, now, self._copies(now))
+        return self._bundles(self._outbox.due(now + GATHER), now, at_once=name)
+
+    def tick(self, now: float) -> tuple[Outgoing, ...]:
+        """What is due; call it ten times a second or more often."""
+        out: list[Outgoing] = []
+        if now >= self._next_tidy:
+            self._next_tidy = now + TIDY_EVERY
+            self._library.tidy(now)
+        if now >= self._next_ask:
+            self._next_ask = now + ASK_EVERY
+            out.extend(self._ask(now))
+        if now >= self._next_digest:
+            out.append(self._digest(now))
+        return (*out, *self._due(now))
+
+    def restore(self, bundles: Sequence[Sealed], admitted: Iterable[Key], now: float) -> None:
+        """Go on after a restart with what the journal holds: own and received bundles in the order they came.
+
+        Their epochs were admitted when they came; ``admitted`` names others that were.
+        """
+        self._library.restore(bundles, admitted, now)
+
+    # What others may ask
+
+    @property
+    def next_sequence(self) -> int:
+        """The first number of the own epoch that nobody known to us holds a bundle of."""
+        key = self._library.own
+        held = [neighbour.holds[key].high for neighbour in self._neighbours.values() if key in neighbour.holds]
+        return max(self._library.shelves[key].had.high, *held, -1) + 1
+
+    def live(self, now: float) -> frozenset[str]:
+        """The robots heard lately, by ourselves."""
+        return frozenset(name for name, neighbour in self._neighbours.items() if neighbour.live(now))
+
+    def loss(self, now: float) -> float:
+        """Which share of the neighbours' messages does not arrive, on average."""
+        shares = self.losses(now).values()
+        return sum(shares) / len(shares) if shares else 0.0
+
+    def losses(self, now: float) -> dict[str, float]:
+        """... of each neighbour's."""
+        return {robot: n.losses.share for robot, n in self._neighbours.items() if n.live(now)}
+
+    def holds(self) -> dict[Key, Ranges]:
+        """The bundles kept, by robot and epoch."""
+        return self._library.holds()
+
+    # How
+
+    def _head(self, now: float) -> tuple[str, str, int, float, int, bytes]:
+        """A new head; of two messages made at once the second is stamped 1 µs later."""
+        self._stamp = max(now, self._stamp + 1e-6)
+        self._number = (self._number + 1) % Losses.MODULUS
+        return self._roster.team, self.robot, self.epoch, short(self._stamp), self._number, self._configuration
+
+    def _outgoing(self, channel: Channel, message: Message) -> Outgoing:
+        self.counts[f"{channel} sent"] += 1
+        return Outgoing(channel, write(message, self._signer))
+
+    def _copies(self, now: float) -> int:
+        """How often a bundle is sent for a good chance to arrive."""
+        loss = self.loss(now)
+        return min(MOST_COPIES, max(1, round(log(1.0 - ARRIVE) / log(loss)))) if loss > 0.0 else 1
+
+    def _hasten(self, now: float) -> None:
+        """Send a digest soon, and the next ones often."""
+        self._digest_after = OFTEN
+        self._next_digest = min(self._next_digest, now + OFTEN * self._random.random())
+
+    def _digest(self, now: float) -> Outgoing:
+        if self._wants.pressing(now):
+            self._digest_after = OFTEN
+        self._next_digest = now + self._digest_after * (0.75 + 0.5 * self._random.random())
+        self._digest_after = min(SELDOM, 2 * self._digest_after)
+        holds = [(*key, flat(kept, DIGEST_INTERVALS)) for key, kept in sorted(self.holds().items())]
+        return self._outgoing("digest", Digest(*self._head(now), holds, sorted(self.live(now))))
+
+    def _lacks(self, neighbour: Neighbour, now: float) -> dict[Key, Ranges]:
+        """What is kept here, should have reached a neighbour and is not there."""
+        lacking: dict[Key, Ranges] = {}
+        for key, shelf in self._library.shelves.items():
+            if not shelf.kept or self._library.admission.current(key[0]) != key[1]:
+                continue
+            held = neighbour.holds.get(key, Ranges())
+            on_its_way = shelf.kept.high - (SETTLING if now - shelf.changed < SELDOM else 0)
+            missing = shelf.kept.minus(held).within(held.low, on_its_way)
+            if missing:
+                lacking[key] = missing
+        return lacking
+
+    def _ask(self, now: float) -> Iterable[Outgoing]:
+        self._wants.refresh(self._missing(now), now)
+        eager = min(4, self._copies(now))
+        requests = self._wants.requests(lambda name: self._holders(name, now), eager, now)
+        if requests:
+            wants = [
+                (robot, [(*key, flat(numbers, DIGEST_INTERVALS)) for key, numbers in wanted.items()])
+                for robot, wanted in requests.items()
+            ]
+            yield self._outgoing("requests", Requests(*self._head(now), wants))
+
+    def _missing(self, now: float) -> dict[Key, Ranges]:
+        """What neighbours hold and is not here."""
+        missing: dict[Key, Ranges] = {}
+        for neighbour in self._neighbours.values():
+            if not neighbour.live(now):
+                continue
+            for key, held in neighbour.holds.items():
+                if key[0] not in self._roster:
+                    continue
+                lacking = self._library.lacks(key, held, CANDIDATE_BUNDLES)
+                if lacking:
+                    of_key = missing.setdefault(key, Ranges())
+                    for low, high in lacking:
+                        of_key.add(low, high)
+        return missing
+
+    def _holders(self, name: Name, now: float) -> Sequence[str]:
+        return sorted(robot for robot, n in self._neighbours.items() if n.live(now) and n.has(name))
+
+    def _answer(self, message: Requests, now: float) -> None:
+        for addressee, wanted in message.wants:
+            if addressee == self.robot:
+                self._send_all({(robot, epoch): unflat(numbers) for robot, epoch, numbers in wanted}, now)
+
+    def _send_all(self, wanted: Mapping[Key, Ranges], now: float) -> None:
+        """What of this is kept here goes out, unless it just did."""
+        copies = self._copies(now)
+        for key, ranges in wanted.items():
+            shelf = self._library.shelves.get(key)
+            if shelf is not None:
+                for number in shelf.kept.both(ranges).newest(AT_ONCE):
+                    if now - shelf.sent(number) >= JUST_SENT:
+                        self._outbox.add(Name(*key, number), now + GATHER, copies)
+
+    def _relay(self, sealed: Sealed, sender: str, now: float) -> None:
+        """Pass a new bundle on if a neighbour lacks it that does not hear the sender, and it is our turn."""
+        name = sealed.bundle.name
+        live = {robot: n for robot, n in self._neighbours.items() if n.live(now)}
+        for robot, neighbour in live.items():
+            if robot in (sender, name.robot) or sender in neighbour.hears or neighbour.has(name):
+                continue
+            able = [r for r, n in live.items() if r in neighbour.hears and (sender in n.hears or r == sender)]
+            able = sorted({*able, self.robot} if self.robot in neighbour.hears else able)
+            if able and able[name.sequence % len(able)] == self.robot:
+                self._outbox.add(name, now + GATHER, self._copies(now))
+                return
+
+    def _due(self, now: float) -> tuple[Outgoing, ...]:
+        """Bundles that are due; what nearly is goes with them."""
+        if self._outbox.earliest() > now:
+            return ()
+        return self._bundles(self._outbox.due(now + GATHER), now)
+
+    def _bundles(self, names: Sequence[Name], now: float, at_once: Name | None = None) -> tuple[Outgoing, ...]:
+        """Messages of these bundles, as many as may be sent; ``at_once`` in any case."""
+        out: list[Outgoing] = []
+        chunk: list[bytes] = []
+        for name in sorted(names, key=lambda name: name != at_once):
+            shelf = self._library.shelves.get((name.robot, name.epoch))
+            data = shelf.data(name.sequence) if shelf else None
+            if shelf is None or data is None:
+                self._outbox.drop(name)
+                continue
+            if name != at_once and not self._outbox.allows(now):
+                break
+            if chunk and sum(map(len, chunk)) + len(data) > CHUNK:
+                out.append(self._outgoing("bundles", Bundles(*self._head(now), chunk)))
+                chunk = []
+            chunk.append(data)
+            shelf.mark_sent(name.sequence, now)
+            self._outbox.sent(name, len(data), now)
+        if chunk:
+            out.append(self._outgoing("bundles", Bundles(*self._head(now), chunk)))
+        return tuple(out)

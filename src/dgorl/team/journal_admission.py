@@ -1,0 +1,71 @@
+"""When the estimate is given a bundle: whole and at once, so that ``data`` says exactly what it was made of."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from dgorl.configuration import Configuration
+from dgorl.history import LATE
+from dgorl.measurements import Displacement, Odometry, known_at
+from dgorl.nodes import Memo
+from dgorl.team.bundles import Bundle, Sealed
+from dgorl.team.journal_data import ranges
+from dgorl.team.ranges import Ranges
+
+
+class Admission:
+    """Bundles waiting for the tick at which a Localizer admits all their rows: it then holds back none of them.
+
+    ``rejected`` counts bundles that came too late, whole. With ``clock: estimated`` nothing waits here: only the team
+    can tell what is late.
+    """
+
+    def __init__(self, configuration: Configuration) -> None:
+        self.rejected: Counter[str] = Counter()
+        self._shared = configuration.clock == "shared"
+        self._history = configuration.history
+        self._waiting: list[Sealed] = []
+        self._admitted: dict[tuple[str, int], Ranges] = {}
+        self._last_node = float("-inf")
+
+    @property
+    def data(self) -> str:
+        """All that was admitted, as the ``data`` column says it."""
+        return ranges(self._admitted)
+
+    def offer(self, sealed: Sealed) -> None:
+        """Take a bundle, own or received; twice without harm."""
+        self._waiting.append(sealed)
+
+    def due(self, now: float) -> tuple[Sealed, ...]:
+        """What to give the Localizer before it is updated at ``now`` [s], in order of arrival. Call it once a tick."""
+        node = Memo.due(now)
+        node_due, self._last_node = node > self._last_node, max(node, self._last_node)
+        taken, waiting = [], []
+        for sealed in self._waiting:
+            if self._shared and self._waits(sealed.bundle, now, node_due):
+                waiting.append(sealed)
+            elif self._shared and now - _since(sealed.bundle, now) > self._history:
+                self.rejected["too late"] += 1
+            elif self._is_new(sealed.bundle):
+                taken.append(sealed)
+        self._waiting = waiting
+        return tuple(taken)
+
+    def _waits(self, bundle: Bundle, now: float, node_due: bool) -> bool:
+        """For its time to come, or, late, for the next node (METHOD §1)."""
+        stamps = [known_at(m) for m in bundle.measurements]
+        return max(stamps, default=now) > now or (now - min(stamps, default=now) > LATE and not node_due)
+
+    def _is_new(self, bundle: Bundle) -> bool:
+        numbers = self._admitted.setdefault((bundle.robot, bundle.epoch), Ranges())
+        new = bundle.sequence not in numbers
+        numbers.add(bundle.sequence)
+        return new
+
+
+def _since(bundle: Bundle, now: float) -> float:
+    """When the oldest row of a bundle began [s]."""
+    return min(
+        (m.start if isinstance(m, Odometry | Displacement) else known_at(m) for m in bundle.measurements), default=now
+    )

@@ -1,0 +1,125 @@
+"""The bundles a robot knows: opened, checked, kept by epoch; those of epochs that are not admitted yet wait."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from dgorl.team.admission import Admission
+from dgorl.team.bundles import Name, Sealed
+from dgorl.team.envelope import Reason, Rejected, unwrap, verify
+from dgorl.team.keys import Roster
+from dgorl.team.messages import Key
+from dgorl.team.ranges import Ranges
+from dgorl.team.shelf import Shelf
+from dgorl.team.wire import PURPOSE, Limits, content, peek
+
+RETAINED = 10.0
+"""Bundles are kept this much longer [s] than the history."""
+
+
+class Library:
+    """Of one robot in one epoch, ``own``. ``duplicates`` counts what was here before."""
+
+    def __init__(self, own: Key, roster: Roster, history: float, limits: Limits) -> None:
+        self.own = own
+        self.admission = Admission(own, history)
+        self.shelves: dict[Key, Shelf] = {}
+        self.duplicates = 0
+        self._roster, self._limits = roster, limits
+        self._retention = history + RETAINED
+        self.shelves[own] = Shelf(self._retention)
+
+    def open(self, data: bytes, sender: Key, now: float) -> tuple[Name, Sealed | None]:
+        """A bundle that came from ``sender``: its name, and itself if it is new and of an admitted epoch.
+
+        What is new of other epochs waits. Raises Rejected.
+        """
+        signature, text = unwrap(data, self._limits.bundle)
+        body = peek(text, self._roster)
+        key, name = (body.robot, body.epoch), Name(body.robot, body.epoch, body.sequence)
+        if key != sender and not self.admission.admitted(sender):
+            raise Rejected(Reason.EPOCH, "told by a robot whose own is not")
+        shelf = self.shelves.get(key)
+        known = self._data(name)
+        if known == data or (known is None and shelf is not None and name.sequence in shelf.had):
+            self.duplicates += 1
+            return name, None
+        verify(PURPOSE, body.robot, signature, text, self._roster)
+        if known is not None:
+            raise Rejected(Reason.CONFLICT, f"{name}")
+        sealed = Sealed(data, content(body, self._roster))
+        if shelf is None:
+            self.admission.candidate(key).add(sealed)
+            return name, None
+        self.keep(sealed, now)
+        return name, sealed
+
+    def keep(self, sealed: Sealed, now: float) -> None:
+        """Put a bundle of an admitted epoch on its shelf."""
+        self.shelves[sealed.bundle.robot, sealed.bundle.epoch].add(sealed, now)
+        self.admission.learn(sealed.bundle)
+
+    def admit(self, now: float) -> tuple[list[Sealed], list[Key]]:
+        """Let in the epochs that are proved to live, until no more are: their bundles so far, and which they are."""
+        new: list[Sealed] = []
+        admitted: list[Key] = []
+        while key := next(self.admission.ready(lambda live: self._clock(live, now)), None):
+            waiting = sorted(self.admission.candidate(key).bundles.items())
+            self._let_in(key)
+            admitted.append(key)
+            for _, sealed in waiting:
+                self.keep(sealed, now)
+                new.append(sealed)
+        return new, admitted
+
+    def restore(self, bundles: Sequence[Sealed], admitted: Iterable[Key], now: float) -> None:
+        """Bundles in the order they came; their epochs were admitted then. ``admitted`` names others that were."""
+        last = {(sealed.bundle.robot, sealed.bundle.epoch): index for index, sealed in enumerate(bundles)}
+        for key in sorted({*admitted, *last}, key=lambda key: (last.get(key, -1), key)):
+            if not self.admission.admitted(key):
+                self._let_in(key)
+        for sealed in bundles:
+            if (sealed.bundle.robot, sealed.bundle.epoch) in self.shelves:
+                self.keep(sealed, now)
+
+    def tidy(self, now: float) -> None:
+        """Let go of epochs that ended longer ago than the history."""
+        for shelf in self.shelves.values():
+            if now - shelf.changed > self._retention:
+                shelf.clear()
+
+    def holds(self) -> dict[Key, Ranges]:
+        """The bundles that can be passed on."""
+        return {key: shelf.kept for key, shelf in self.shelves.items() if shelf.kept}
+
+    def lacks(self, key: Key, held: Ranges, newest: int) -> Ranges:
+        """What of ``held`` is not here; of an epoch that waits, of its ``newest`` alone."""
+        shelf = self.shelves.get(key)
+        if shelf is not None:
+            return held.minus(shelf.had)
+        waiting = self.admission.waits(key)
+        lacking = held.minus(waiting.numbers if waiting else Ranges())
+        lacking.drop_below(held.high - newest + 1)
+        return lacking
+
+    def _data(self, name: Name) -> bytes | None:
+        key = name.robot, name.epoch
+        if key in self.shelves:
+            return self.shelves[key].data(name.sequence)
+        waiting = self.admission.waits(key)
+        sealed = waiting.bundles.get(name.sequence) if waiting else None
+        return sealed.data if sealed else None
+
+    def _let_in(self, key: Key) -> None:
+        forgotten = self.admission.admit(key)
+        if forgotten is not None:
+            self.shelves.pop((key[0], forgotten), None)
+        self.shelves[key] = Shelf(self._retention)
+
+    def _clock(self, key: Key, now: float) -> float | None:
+        """The newest stamp known of a live epoch [s], on its clock."""
+        if key == self.own:
+            return now
+        shelf = self.shelves.get(key)
+        live = shelf is not None and self.admission.current(key[0]) == key[1]
+        return shelf.newest if shelf and live and now - shelf.changed <= self._retention else None

@@ -1,0 +1,118 @@
+"""What robots tell one another: digests, requests, bundles. Signed by their sender, each with its send stamp.
+
+The sender's stamps grow strictly, on its own clock; ``number`` counts its messages modulo 128. What a message repeats
+from one before it is recognised by the stamp.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from dgorl.measurements import LARGEST
+from dgorl.team.envelope import Reason, Rejected, decoded, unwrap, verify, wrap
+from dgorl.team.keys import Roster, Signer
+from dgorl.team.ranges import Ranges
+from dgorl.team.rates import Losses
+from dgorl.team.wire import BITS_64, Text, Whole
+
+HASH_BYTES = 8
+
+Number = Annotated[int, Meta(ge=0, lt=Losses.MODULUS)]
+Hash = Annotated[bytes, Meta(min_length=HASH_BYTES, max_length=HASH_BYTES)]
+Intervals = Annotated[list[Annotated[int, Meta(ge=0, lt=2**62)]], Meta(max_length=512)]
+Holding = tuple[Text, Whole, Intervals]
+"""robot, epoch, sequence numbers: first, last, first, last..."""
+Holdings = Annotated[list[Holding], Meta(max_length=512)]
+Key = tuple[str, int]
+"""robot, epoch"""
+
+
+class Head(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """What every message begins with: who sent it and when, on its clock [s]."""
+
+    team: Text
+    robot: Text
+    epoch: Whole
+    stamp: float
+    number: Number
+    configuration: Hash
+
+    @property
+    def key(self) -> Key:
+        """Robot and epoch."""
+        return self.robot, self.epoch
+
+
+class Digest(Head, frozen=True):
+    """What the sender holds, and whom it hears itself."""
+
+    holds: Holdings
+    hears: Annotated[list[Text], Meta(max_length=512)]
+
+
+class Requests(Head, frozen=True):
+    """Bundles the sender lacks, and who is to send them."""
+
+    wants: Annotated[list[tuple[Text, Holdings]], Meta(max_length=512)]
+
+
+class Bundles(Head, frozen=True):
+    """Sealed bundles, the sender's own or others'."""
+
+    sealed: list[bytes]
+
+
+Message = Digest | Requests | Bundles
+
+CHANNEL: dict[type[Head], str] = {Digest: "digest", Requests: "requests", Bundles: "bundles"}
+_decoders = {channel: msgspec.msgpack.Decoder(kind) for kind, channel in CHANNEL.items()}
+
+
+class Unverified(NamedTuple):
+    """A message whose signature is still to be checked."""
+
+    message: Message
+    channel: str
+    signature: bytes
+    body: bytes
+
+    def verify(self, roster: Roster) -> None:
+        """Raises Rejected unless its sender signed it for this channel."""
+        verify(self.channel, self.message.robot, self.signature, self.body, roster)
+
+
+def write(message: Message, signer: Signer) -> bytes:
+    """The payload of a message."""
+    return wrap(CHANNEL[type(message)], msgspec.msgpack.encode(message), signer)
+
+
+def read(channel: str, payload: bytes, sender: str, roster: Roster, configuration: bytes, largest: int) -> Unverified:
+    """A message of this team and configuration by ``sender``. Raises Rejected."""
+    if channel not in _decoders:
+        raise Rejected(Reason.MALFORMED, f"no channel `{channel}`")
+    signature, body = unwrap(payload, largest)
+    message = decoded(_decoders[channel], body)
+    if message.team != roster.team:
+        raise Rejected(Reason.TEAM, f"`{message.team}`, here `{roster.team}`")
+    if message.robot != sender:
+        raise Rejected(Reason.SENDER, f"{sender} sends as {message.robot}")
+    if message.configuration != configuration:
+        raise Rejected(Reason.CONFIGURATION, f"{sender} has another team.yaml; copy one file to all robots")
+    if not -LARGEST <= message.stamp <= LARGEST or message.epoch >= BITS_64:
+        raise Rejected(Reason.MALFORMED, "stamp or epoch that cannot be")
+    return Unverified(message, channel, signature, body)  # type: ignore[arg-type]
+
+
+def flat(ranges: Ranges, newest: int) -> list[int]:
+    """The newest intervals as a message lists them."""
+    return [end for interval in list(ranges)[-newest:] for end in interval]
+
+
+def unflat(numbers: list[int]) -> Ranges:
+    """The set a message lists. Raises Rejected for half an interval."""
+    if len(numbers) % 2:
+        raise Rejected(Reason.MALFORMED, "half an interval")
+    return Ranges(zip(numbers[::2], numbers[1::2], strict=True))

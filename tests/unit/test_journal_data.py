@@ -1,0 +1,114 @@
+"""What an estimate was made of: the ``data`` column, and the gate that makes it exact."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dgorl import Localizer, Odometry, Range
+from dgorl.configuration import Configuration
+from dgorl.team.bundles import Bundle, Name, Sealed
+from dgorl.team.journal_admission import Admission
+from dgorl.team.journal_data import held, parse, ranges
+from dgorl.team.journal_schema import JournalError
+
+names = st.builds(
+    Name, st.sampled_from(["r1", "r2", "a:b", "é.7-9"]), st.integers(0, 2**64 - 1), st.integers(0, 40) | st.just(2**40)
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sets(names, max_size=60))
+def test_data_reads_back(named):
+    found = parse(ranges(held(named)))
+    assert {
+        Name(robot, epoch, sequence)
+        for (robot, epoch), numbers in found.items()
+        for first, last in numbers
+        for sequence in range(first, last + 1)
+    } == named
+
+
+def test_data_looks_like_this():
+    found = held([Name("r2", 255, 0), Name("r1", 2**64 - 1, 7), *(Name("r2", 255, k) for k in (3, 2, 9))])
+    assert ranges(found) == "r1:ffffffffffffffff.7-7 r2:00000000000000ff.0-0+2-3+9-9"
+    assert ranges({}) == ""
+
+
+@pytest.mark.parametrize(
+    "text", ["r1", "r1:00000000000000ff", "r1:ff.0-3", "r1:00000000000000ff.3", "r1:00000000000000ff.0-3+"]
+)
+def test_other_text_is_an_error(text):
+    with pytest.raises(JournalError, match="is not robot:epoch"):
+        parse(text)
+
+
+def sealed(sequence: int, begin: float, end: float, reading: float | None = None) -> Sealed:
+    rows = (Odometry("r2", begin, end, 0.5, 0.0),)
+    heard = () if reading is None else (Range("r2", "r1", reading, 4.0, 0.1),)
+    return Sealed(b"", Bundle("lab", "r2", 1, sequence, 0, max(end, reading or end), rows, ranges=heard))
+
+
+def test_bundles_are_admitted_in_order_of_arrival_once():
+    admission = Admission(Configuration())
+    first, second = sealed(1, 0.5, 1.0), sealed(0, 0.0, 0.5)
+    for bundle in (first, second, first):
+        admission.offer(bundle)
+    assert admission.due(1.0) == (first, second)
+    admission.offer(second)
+    assert admission.due(1.5) == ()
+    assert admission.data == "r2:0000000000000001.0-1"
+
+
+def test_what_tells_of_the_future_waits_for_it():
+    admission = Admission(Configuration())
+    admission.offer(sealed(0, 0.0, 2.0))
+    assert admission.due(1.9) == ()
+    assert admission.data == ""
+    assert len(admission.due(2.0)) == 1
+
+
+def test_what_is_late_waits_whole_for_the_next_node():
+    admission = Admission(Configuration())
+    admission.due(31.0)  # node 30 is due
+    late = sealed(0, 20.0, 21.0, reading=21.6)  # at 31.5 its odometry is late, its range is not
+    admission.offer(late)
+    assert [admission.due(now) for now in (31.5, 35.5)] == [(), ()]
+    assert admission.due(36.0) == (late,)
+
+
+def test_what_is_older_than_the_history_is_refused_whole():
+    admission = Admission(Configuration(history=60.0))
+    admission.offer(sealed(0, 39.5, 40.5))
+    assert admission.due(100.0) == ()
+    assert admission.rejected == {"too late": 1}
+    admission.offer(sealed(1, 40.0, 41.0))
+    assert len(admission.due(100.5)) == 0
+    assert len(admission.due(101.0)) == 0
+    assert admission.rejected == {"too late": 2}
+    assert admission.data == ""
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 60.0), st.floats(0.0, 90.0)), max_size=25))
+def test_a_localizer_holds_back_nothing_it_is_given(bundles):
+    """Whatever comes when: after an update its inbox is empty and nothing was rejected."""
+    configuration = Configuration(history=45.0)
+    admission, localizer = Admission(configuration), Localizer("r1", configuration)
+    arrivals = sorted((begin + delay, k, begin) for k, (begin, delay) in enumerate(bundles))
+    given_, taken = 0, 0
+    for now in (0.5 * k for k in range(320)):
+        while given_ < len(arrivals) and arrivals[given_][0] <= now:
+            _, k, begin = arrivals[given_]
+            admission.offer(sealed(k, begin, begin + 0.5, reading=begin + 0.25))
+            given_ += 1
+        due = admission.due(now)
+        taken += len(due)
+        for bundle in due:
+            for measurement in bundle.bundle.measurements:
+                localizer.add(measurement)
+        localizer.update(now)
+        assert not localizer.team.history._inbox
+        assert not localizer.team.history.rejected
+    assert taken + admission.rejected["too late"] == len(bundles)
