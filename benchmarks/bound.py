@@ -22,6 +22,7 @@ from dgorl.configuration import merge
 from dgorl.evaluation.bounds import bound
 from dgorl.evaluation.metrics import CHI2_95_2DOF, heading_error, nees, position_error, position_nees
 from dgorl.evaluation.records import collect
+from dgorl.evaluation.statistics import bootstrap, root_ratio
 from dgorl.replay import known_starts, replay
 from dgorl.se2 import Array
 from dgorl.simulation import Scenario, simulate
@@ -59,13 +60,9 @@ def trial(seed: int, scenario: Scenario) -> Mapping[str, Mapping[str, float]]:
     return found
 
 
-def interval(a: Array, b: Array, draws: int = 2000) -> tuple[float, float]:
+def interval(a: Array, b: Array) -> tuple[float, float]:
     """95 % bootstrap interval over trials of √(mean a ÷ mean b)."""
-    rng = np.random.default_rng(0)
-    pick = rng.integers(0, len(a), (draws, len(a)))
-    ratios = np.sqrt(a[pick].mean(axis=1) / b[pick].mean(axis=1))
-    low, high = np.quantile(ratios, [0.025, 0.975])
-    return float(low), float(high)
+    return bootstrap(np.column_stack([a, b]), root_ratio)
 
 
 def main() -> None:

@@ -24,7 +24,7 @@ from dgorl import Configuration
 from dgorl.configuration import merge
 from dgorl.estimate import PeerHypothesis, Status
 from dgorl.evaluation.bounds import bound
-from dgorl.evaluation.metrics import CHI2_95_2DOF, position_error, position_nees, time_to_track
+from dgorl.evaluation.metrics import CHI2_95_2DOF, position_error, position_nees, position_sigma, time_to_track
 from dgorl.evaluation.records import PairRecord, collect
 from dgorl.replay import replay
 from dgorl.se2 import Array
@@ -72,9 +72,9 @@ def checkpoints(scenario: Scenario) -> list[int]:
 
 def pair(record: PairRecord, limits: Any, least: Array, grid: Array, checks: Mapping[int, int]) -> Trial:
     """The numbers of one ego and peer; sums go over its located ticks."""
-    error, sigma = np.hypot(*position_error(record).T), largest(record.covariance)
+    error, sigma = np.hypot(*position_error(record).T), position_sigma(record.covariance)
     located = record.located & np.isfinite(error)
-    bound_sigma = between_stamps(grid, largest(least), record.t)
+    bound_sigma = between_stamps(grid, position_sigma(least), record.t)
     bound_square = between_stamps(grid, least[:, 0, 0] + least[:, 1, 1], record.t)
     compared = located & np.isfinite(bound_square)
     accuracy = np.maximum(limits.accuracy, limits.accuracy_per_metre * np.hypot(*record.truth[:, :2].T))
@@ -105,14 +105,8 @@ def alive(record: PairRecord, k: int) -> bool:
     if not guesses and np.isfinite(record.pose[k]).all():
         guesses = [PeerHypothesis(1.0, record.pose[k], record.covariance[k])]
     off = [np.hypot(*(guess.pose - record.truth[k])[:2]) for guess in guesses]
-    sigmas = [float(largest(guess.covariance[None])[0]) for guess in guesses]
+    sigmas = [float(position_sigma(guess.covariance[None])[0]) for guess in guesses]
     return any(error < max(NEAR, SIGMAS * sigma) for error, sigma in zip(off, sigmas, strict=True))
-
-
-def largest(covariance: Array) -> Array:
-    """σ of positions: covariance (T, 3, 3) → (T,)."""
-    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
 
 
 def between_stamps(grid: Array, values: Array, t: Array) -> Array:

@@ -9,7 +9,6 @@ from importlib import import_module
 from io import TextIOWrapper
 
 import dgorl
-from dgorl.cli.parsing import parse
 from dgorl.configuration import nearest
 from dgorl.errors import DgorlError
 
@@ -17,6 +16,12 @@ COMMANDS = {
     "demo": "simulate a team, or take a log, localise it, draw pictures",
     "run": "localise every robot's peers in a log",
     "simulate": "write a synthetic log",
+    "paper": "the paper's experiment: every claim beside a measured figure",
+    "agent": "run one live robot",
+    "fleet": "run a live team on this machine, on a network with faults",
+    "monitor": "watch a live team",
+    "doctor": "check the install, a log, a journal, the network of a team",
+    "keys": "make a robot's signing key, print its public half for team.yaml",
     "config": "print the full configuration with comments",
 }
 OK, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -52,7 +57,12 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"dgorl {dgorl.__version__}")
     elif command in COMMANDS:
         module = import_module(f"dgorl.cli.{command}")
-        module.main(parse(module.Options, command, module.__doc__, arguments[1:]))
+        if hasattr(module, "Options"):
+            from dgorl.cli.parsing import parse  # large; an agent does without
+
+            module.main(parse(module.Options, command, module.__doc__, arguments[1:]))
+        else:
+            module.main(arguments[1:])
     else:
         what = f"unknown command `{command}`{nearest(command, COMMANDS)}" if command else "no command given"
         print(f"dgorl: {what}\n\n{_overview()}", file=sys.stderr)

@@ -45,11 +45,15 @@ def nees(record: PairRecord) -> Array:
     return _mahalanobis(error, record.covariance)
 
 
+def position_sigma(covariance: Array) -> Array:
+    """σ of the position in its worst direction [m]: covariance (T, 3, 3) → (T,), the root of the largest eigenvalue."""
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    return np.asarray(np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b)))
+
+
 def bound_95(record: PairRecord) -> Array:
     """Largest half-axis of the 95 % position ellipse: (T,) [m]; at least 95 % of errors should be below."""
-    a, b, c = record.covariance[:, 0, 0], record.covariance[:, 0, 1], record.covariance[:, 1, 1]
-    largest = (a + c) / 2 + np.hypot((a - c) / 2, b)
-    return np.asarray(np.sqrt(CHI2_95_2DOF * largest))
+    return np.asarray(np.sqrt(CHI2_95_2DOF) * position_sigma(record.covariance))
 
 
 def nees_per_tick(records: Sequence[PairRecord]) -> tuple[Array, Array, NDArray[np.int64]]:

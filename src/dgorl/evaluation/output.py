@@ -86,12 +86,13 @@ def prepare(directory: Path) -> None:
 
 def csv_lines(record: PairRecord) -> Iterator[str]:
     """The rows of ``relative/EGO/PEER.csv``; pose fields are empty where there is no pose."""
-    yield HEADER
+    yield HEADER if record.data is None else f"{HEADER},data"
     for k, t in enumerate(record.t):
         numbers = [*record.pose[k], *record.covariance[k][_UPPER]]
         fields = [_number(t), *("" if np.isnan(value) else _number(value) for value in numbers)]
         fields += [str(record.status[k]), _number(record.probability[k]), _number(record.age[k])]
-        yield ",".join([*fields, _quote(record.reason[k]), _quote(record.resolve_by[k])])
+        fields += [_quote(record.reason[k]), _quote(record.resolve_by[k])]
+        yield ",".join(fields if record.data is None else [*fields, record.data[k]])
 
 
 def hypotheses_lines(record: PairRecord) -> Iterator[str]:
@@ -116,6 +117,9 @@ def peak_rss_mb() -> float | None:
         import resource
     except ImportError:  # not on Windows
         return None
+    if sys.platform == "linux":  # getrusage tells of who started this process, too, if that was larger
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return int(status.partition("VmHWM:")[2].split()[0]) * 1.024e-3
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
 

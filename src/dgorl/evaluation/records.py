@@ -27,7 +27,7 @@ class PairRecord:
     t (T,) [s]; pose (T, 3) of the peer in the ego's body frame [m, m, rad], NaN where there is none;
     covariance (T, 3, 3) of it, in the ego's frame; probability (T,); age (T,) [s]; truth (T, 3) the true
     pose, NaN where unknown; hypotheses: row → all that were alive at that tick, most probable first; rows without
-    any are left out.
+    any are left out. data (T,): the bundles each row was made of, for a live robot.
     """
 
     ego: str
@@ -42,6 +42,7 @@ class PairRecord:
     resolve_by: tuple[str, ...]
     truth: Array
     hypotheses: Mapping[int, tuple[PeerHypothesis, ...]] = field(default_factory=dict)
+    data: tuple[str, ...] | None = None
 
     @property
     def located(self) -> NDArray[np.bool_]:
