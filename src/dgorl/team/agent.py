@@ -1,0 +1,227 @@
+"""One live robot: measurements in, bundles out and in, an estimate a tick. METHOD §1, §6.
+
+No sockets, threads or clocks in here: time is an argument, the transport and the journal are given.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from math import floor
+
+from dgorl.errors import MeasurementError
+from dgorl.localizer import Localizer
+from dgorl.measurements import Measurement
+from dgorl.replay import start_priors
+from dgorl.team.bulletin import Bulletins
+from dgorl.team.bundler import Bundler
+from dgorl.team.bundles import Bundle, Sealed
+from dgorl.team.envelope import Rejected
+from dgorl.team.gossip import Gossip, Outgoing, Reaction
+from dgorl.team.intake import Moved, read_line
+from dgorl.team.journal import Journal
+from dgorl.team.journal_admission import Admission
+from dgorl.team.journal_schema import JournalError
+from dgorl.team.keys import Signer
+from dgorl.team.report import Carried, Complaint, Report, clocks_of, peers_of
+from dgorl.team.team_file import TeamFile
+from dgorl.team.transport import BULLETINS, Transport
+from dgorl.team.wire import open_sealed, seal
+from dgorl.team_time import team_on
+
+BAD_LINE = "bad line"
+LINE_REPEATED = 80
+"""So much of a bad line is repeated in the answer to it."""
+
+
+class Agent:
+    """Assembles transport, journal, bundler, gossip and Localizer. Call :meth:`step` ten times a second or more.
+
+    The Localizer is given bundles alone, its own included, so that all robots compute the same.
+    now: the robot's clock [s]; it never runs backwards. wire_bytes: sent by this process, headers included.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        team: TeamFile,
+        signer: Signer,
+        transport: Transport,
+        journal: Journal,
+        now: float,
+        wire_bytes: Callable[[], int | None] = lambda: None,
+    ) -> None:
+        self.robot, self.team = robot, team
+        self.transport, self.journal = transport, journal
+        self.troubles: deque[str] = deque(maxlen=100)
+        """What went wrong and a person should hear of; taken out by who logs it."""
+        configuration = team.configuration
+        self._signer, self._wire_bytes = signer, wire_bytes
+        self._clock = robot, journal.epoch
+        self._localizer = Localizer(robot, team=team_on(configuration, self._clock))
+        for start in start_priors(team.starts):
+            self._localizer.add(start)
+        self._admission = Admission(configuration)
+        self._gossip = Gossip(
+            robot, journal.epoch, team.roster, signer, team.configuration_hash, history=configuration.history
+        )
+        self._bulletins = Bulletins(team.team, robot, journal.epoch, team.configuration_hash, signer)
+        self._rejected: Counter[str] = Counter()
+        self._unsent: list[Sealed] = []
+        self._bundles = 0
+        self._tick = floor(now / configuration.period)
+        track = self._remember(now)
+        self._bundler = Bundler(
+            team.team, robot, journal.epoch, sequence=journal.next_sequence, track=track, substep=team.substep
+        )
+
+    def take_line(self, line: bytes, now: float, ahead: float = 0.0) -> Complaint | None:
+        """Take a measurement of the robot's own as a JSON line (:mod:`dgorl.team.intake`); the answer to a bad one.
+
+        ahead: how far the clock that stamped it is ahead of the robot's [s].
+        """
+        history = self.team.configuration.history
+        try:
+            self.take(read_line(line, self.robot, self.team.roster.robots, now, history, ahead))
+        except MeasurementError as error:
+            self._rejected[BAD_LINE] += 1
+            return Complaint(str(error), line[:LINE_REPEATED].decode(errors="replace"))
+        return None
+
+    def take(self, measured: Measurement | Moved) -> None:
+        """Take a measurement of the robot's own. Raises MeasurementError if it is not."""
+        if isinstance(measured, Moved):
+            self._bundler.moved(measured.stamp)
+        else:
+            self._bundler.add(measured)
+
+    def step(self, now: float) -> Report | None:
+        """Hear the network, answer it; when a tick is due, cut, commit and publish a bundle and estimate.
+
+        Ticks that were missed are skipped: the bundle holds all that is known, and the estimate depends on the data and
+        on its own time alone.
+        """
+        self.hear(now)
+        period = self.team.configuration.period
+        tick = floor(now / period)
+        if tick <= self._tick:
+            return None
+        self._tick = tick
+        self.publish(tick * period, now)
+        report = self.estimate(tick * period)
+        self._tell_watchers(report, now)
+        return report
+
+    def hear(self, now: float) -> None:
+        """Hear the network and answer it."""
+        for message in self.transport.poll():
+            self._react(self._gossip.receive(message.channel, message.sender, message.payload, message.at))
+        self._send(self._gossip.tick(now))
+
+    def publish(self, until: float, now: float) -> None:
+        """Cut what is known at ``until`` [s], commit it and tell the others; what the disk refuses waits."""
+        # Own bundles that a damaged journal lost may be out there still: their numbers are taken.
+        self._bundler.sequence = max(self._bundler.sequence, self._gossip.next_sequence)
+        for bundle in self._bundler.cut(until):
+            self._unsent.append(seal(bundle, self._signer))
+        if not self._unsent:
+            return
+        try:
+            self.journal.commit_own(*self._unsent)
+        except JournalError as error:
+            self._trouble(error)
+            return
+        self._bundles += len(self._unsent)
+        for sealed in self._unsent:
+            self._admission.offer(sealed)
+            self._send(self._gossip.publish(sealed, now))
+        self._unsent.clear()
+
+    def estimate(self, now: float, *, final: bool = False) -> Report:
+        """Admit what came and estimate at ``now`` [s]; journal both."""
+        began = time.process_time()
+        admitted = self._admission.due(now)
+        for sealed in admitted:
+            self._give(sealed.bundle)
+        placed = self._localizer.team.team_now(*self._clock, now)
+        estimate = self._localizer.update(now if placed is None else placed)
+        spent = time.process_time() - began
+        self.journal.tick(now, admitted)
+        try:
+            self.journal.flush()
+        except JournalError as error:
+            self._trouble(error)
+        traffic = self.transport.traffic
+        return Report(
+            robot=self.robot,
+            stamp=now,
+            peers=peers_of(estimate),
+            data=self._admission.data,
+            present=tuple(sorted(self.transport.present())),
+            clocks=clocks_of(estimate),
+            traffic=Carried(
+                traffic.sent_messages,
+                traffic.sent_bytes,
+                traffic.received_messages,
+                traffic.received_bytes,
+                traffic.dropped,
+                self._wire_bytes(),
+                self._bundles,
+            ),
+            rejected=self._all_rejected(estimate.rejected),
+            tick_s=spent,
+            final=final,
+        )
+
+    def close(self) -> None:
+        """Leave the network and let go of the journal. Raises JournalError when the disk refuses."""
+        self.transport.close()
+        self.journal.close()
+
+    def _remember(self, now: float) -> int:
+        """Give gossip and estimate what the journal knows; the track the robot is on."""
+        known = []
+        for data in self.journal.known:
+            try:
+                known.append(open_sealed(data, self.team.roster))
+            except Rejected as error:
+                self._rejected[error.reason] += 1
+        self._gossip.restore(known, self.journal.admitted, now)
+        for sealed in known:
+            self._admission.offer(sealed)
+        own = (s.bundle.track for s in known if (s.bundle.robot, s.bundle.epoch) == (self.robot, self.journal.epoch))
+        return max(own, default=0)
+
+    def _give(self, bundle: Bundle) -> None:
+        clock = bundle.robot, bundle.epoch
+        for reading in bundle.clocks:
+            self._localizer.team.add_reading(reading)
+        for measurement in bundle.measurements:
+            self._localizer.add(measurement, clock)
+
+    def _react(self, reaction: Reaction) -> None:
+        for sealed in reaction.new:
+            self.journal.receive(sealed)
+            self._admission.offer(sealed)
+        self._bundler.heard(reaction.clocks)
+        self._send(reaction.send)
+
+    def _send(self, outgoing: tuple[Outgoing, ...]) -> None:
+        for channel, payload in outgoing:
+            self.transport.send(channel, payload)
+
+    def _tell_watchers(self, report: Report, now: float) -> None:
+        bulletin = self._bulletins.due(report, self._gossip.losses(now), now)
+        if bulletin is not None:
+            self.transport.send(BULLETINS, bulletin)
+
+    def _all_rejected(self, measurements: Mapping[str, int]) -> dict[str, int]:
+        total = Counter(measurements)
+        for counter in (self._rejected, self._bundler.dropped, self._gossip.rejected, self._admission.rejected):
+            total.update({str(reason): count for reason, count in counter.items()})
+        return dict(sorted(total.items()))
+
+    def _trouble(self, error: JournalError) -> None:
+        self._rejected["journal"] += 1
+        self.troubles.append(str(error))

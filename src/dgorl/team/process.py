@@ -1,0 +1,248 @@
+"""The process round an agent: its clock, its inputs and outputs, signals and logs."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dgorl.clocks import SteadyClock
+from dgorl.configuration import as_dict
+from dgorl.evaluation.output import peak_rss_mb
+from dgorl.history import DEFAULT_SILENCE
+from dgorl.localizer import RETAINED
+from dgorl.replay import start_priors
+from dgorl.team.agent import Agent
+from dgorl.team.faults import Faults, Faulty
+from dgorl.team.journal import Journal, Synchronous
+from dgorl.team.keys import UNSIGNED, KeyFileError, Signer, load_key
+from dgorl.team.lines import WAITING, LinesIn, LinesOut
+from dgorl.team.local_session import LocalSession, port_of
+from dgorl.team.pace import Pace
+from dgorl.team.report import Report
+from dgorl.team.team_file import TeamFile
+from dgorl.team.transport import Transport
+from dgorl.team.wire_bytes import WireBytes
+from dgorl.team.zenoh_transport import ZenohTransport
+
+BACKWARDS = 1.0
+"""A clock that is behind the journal's last tick by more than this [s] was set back."""
+LOOK = 0.02
+"""The network is looked at this often [s] ..."""
+LEAST = 0.002
+"""... in fast fleets more often, but no oftener than this [s]."""
+
+log = logging.getLogger("dgorl.agent")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What one agent's process is told. Times are on the robot's clock [s].
+
+    stdin: where its measurements come from, beside ``local``. until: the time of its last tick; it goes on exchanging
+    bundles for ``settle`` [s] more and then leaves. pace: of a fleet's clock; None is the machine's own.
+    """
+
+    robot: str
+    team: TeamFile
+    journal: Path
+    key: Path | None = None
+    synchronous: Synchronous = "full"
+    stdin: LinesIn | None = None
+    local: str | None = None
+    faults: Faults | None = None
+    pace: Pace | None = None
+    until: float | None = None
+    settle: float = 0.0
+
+
+@dataclass
+class Wall:
+    """The machine's clock as an agent's: steady, whatever happens to the wall clock."""
+
+    _steady: SteadyClock = field(default_factory=lambda: SteadyClock(time.time(), time.monotonic()))
+
+    def now(self) -> float:
+        """The robot's clock [s]."""
+        return self._steady.now(time.monotonic())
+
+    def ahead(self) -> float:
+        """How far the wall clock, which sensors stamp with, has jumped ahead of it [s]."""
+        jump = self._steady.look(time.time(), time.monotonic())
+        if jump:
+            log.warning("the wall clock jumped", extra={"fields": {"by_s": round(jump, 3)}})
+        return self._steady.difference if self._steady.jumps else 0.0
+
+
+def run(setup: Setup) -> None:
+    """One agent until it is told to stop (SIGTERM, SIGINT) or its time has come; it leaves in good order either way.
+
+    Raises DgorlError, and KeyboardInterrupt when all is done after SIGINT.
+    """
+    stop, signals = threading.Event(), []
+
+    def told(number: int, _: object) -> None:
+        signals.append(number)
+        stop.set()
+
+    before = {number: signal.signal(number, told) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        _Process(setup, stop).run()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if signal.SIGINT in signals:
+        raise KeyboardInterrupt
+
+
+class _Process:
+    def __init__(self, setup: Setup, stop: threading.Event) -> None:
+        self.setup, self.stop = setup, stop
+        wall = Wall()
+        self.now = wall.now if setup.pace is None else setup.pace.now
+        self.ahead: Callable[[], float] = wall.ahead if setup.pace is None else lambda: 0.0
+        self.rate = 1.0 if setup.pace is None else setup.pace.rate
+        self.lines: queue.Queue[bytes] = queue.Queue(WAITING)
+        self.out = LinesOut(sys.stdout.fileno())
+        self.local: LocalSession | None = None
+
+    def run(self) -> None:
+        setup = self.setup
+        ports = [] if setup.local is None else [port_of(setup.local)]
+        signer = _signer(setup)
+        journal = _journal(setup, self.now())
+        for notice in journal.notices:
+            log.warning(notice)
+        try:
+            transport = self._transport()
+            try:
+                if setup.local is not None:
+                    self.local = LocalSession(setup.robot, setup.local, self._take)
+                agent = Agent(setup.robot, setup.team, signer, transport, journal, self.now(), WireBytes(ports))
+                if setup.stdin is not None:
+                    threading.Thread(target=self._read, args=(setup.stdin,), daemon=True).start()
+                fields = {"team": setup.team.team, "epoch": f"{journal.epoch:016x}", "next": journal.next_sequence}
+                log.info("joined", extra={"fields": fields})
+                self._loop(agent)
+            finally:
+                transport.close()
+                if self.local is not None:
+                    self.local.close()
+        finally:
+            journal.close()
+            self.out.close()
+        log.info("left", extra={"fields": {"cpu_s": round(time.process_time(), 3), "peak_rss_mb": peak_rss_mb()}})
+
+    def _loop(self, agent: Agent) -> None:
+        """Steps until it is to stop; then what came last is committed and told, and the last estimate made."""
+        setup = self.setup
+        end = float("inf") if setup.until is None else setup.until
+        wait = max(min(LOOK, LOOK * 10 / self.rate), LEAST)
+        ended = False
+        while not self.stop.is_set() and (now := self.now()) < end + setup.settle:
+            self._measurements(agent)
+            if not ended:
+                report = agent.step(min(now, end))
+                if report is not None:
+                    self._tell(report)
+                ended = now >= end
+            else:
+                agent.hear(now)
+                agent.publish(end, now)
+            self._troubles(agent)
+            self.stop.wait(wait)
+        self._measurements(agent)
+        last = min(self.now(), end)
+        agent.hear(self.now())
+        agent.publish(last, self.now())
+        self._tell(agent.estimate(last, final=True))
+        self._troubles(agent)
+
+    def _measurements(self, agent: Agent) -> None:
+        ahead = self.ahead()
+        for _ in range(self.lines.qsize()):
+            complaint = agent.take_line(self.lines.get_nowait(), self.now(), ahead)
+            if complaint is not None:
+                log.warning("bad line", extra={"fields": {"what": complaint.what, "line": complaint.line}})
+                self.out.write(complaint.text())
+                if self.local is not None:
+                    self.local.error(complaint.text())
+
+    def _tell(self, report: Report) -> None:
+        line = report.line()
+        self.out.write(line)
+        if self.local is not None:
+            self.local.estimate(line)
+
+    def _troubles(self, agent: Agent) -> None:
+        while agent.troubles:
+            log.error(agent.troubles.popleft())
+
+    def _take(self, line: bytes) -> None:
+        try:
+            self.lines.put_nowait(line)
+        except queue.Full:
+            log.warning("too many lines at once: one is lost")
+
+    def _read(self, stdin: LinesIn) -> None:
+        """Who writes faster than lines are taken waits."""
+        for line in stdin:
+            self.lines.put(line)
+        log.info("no more measurements on stdin")
+
+    def _transport(self) -> Transport:
+        setup = self.setup
+        folder = setup.team.path.parent
+        transport: Transport = ZenohTransport(setup.team.team, setup.robot, setup.team.transport, self.now, folder)
+        if setup.faults is not None:
+            when = self.now if setup.pace is None else setup.pace.recording
+            transport = Faulty(transport, setup.robot, setup.faults, when)
+        return transport
+
+
+def _signer(setup: Setup) -> Signer:
+    """The robot's key. Raises KeyFileError when it is missing or not the one the team knows."""
+    if setup.team.insecure:
+        return UNSIGNED
+    if setup.key is None:
+        raise KeyFileError(f"{setup.robot} needs its key: give --key FILE, or `insecure: true` in {setup.team.path}")
+    signer = load_key(setup.key)
+    if signer.public != setup.team.robots[setup.robot]:
+        raise KeyFileError(f"{setup.key}: not the key of {setup.robot} in {setup.team.path}")
+    return signer
+
+
+def _journal(setup: Setup, now: float) -> Journal:
+    """The robot's journal. One from the clock's future is set aside: stamps must not run backwards within an epoch."""
+    journal = _opened(setup)
+    if journal.last is None or journal.last <= now + BACKWARDS:
+        return journal
+    journal.close()
+    aside = setup.journal.with_name(f"{setup.journal.name}.ahead-{int(journal.last)}")
+    log.warning(
+        "the journal is ahead of the clock: set aside, a new epoch begins",
+        extra={"fields": {"by_s": round(journal.last - now, 1), "aside": str(aside)}},
+    )
+    setup.journal.replace(aside)
+    setup.journal.with_name(setup.journal.name + "-mark").unlink(missing_ok=True)
+    return _opened(setup)
+
+
+def _opened(setup: Setup) -> Journal:
+    configuration = setup.team.configuration
+    window = DEFAULT_SILENCE if configuration.window == "all" else float(configuration.window)
+    return Journal.open(
+        setup.journal,
+        setup.robot,
+        setup.team.roster,
+        settings=as_dict(configuration),
+        keep=configuration.history + window + RETAINED,
+        starts=start_priors(setup.team.starts),
+        synchronous=setup.synchronous,
+    )

@@ -1,0 +1,162 @@
+"""The transport between robots: Zenoh, peer to peer, embedded in the process. INTERFACES, "Live team".
+
+Keys ``dgorl/TEAM/ROBOT/CHANNEL``; presence by liveliness tokens ``dgorl/TEAM/ROBOT/alive``. Who sent a message is read
+from its key, which anybody on the network could have chosen: what it says is believed for its signature alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import zenoh
+from zenoh.handlers import Callback
+
+from dgorl.errors import DgorlError
+from dgorl.team.network import Network, zenoh_settings
+from dgorl.team.transport import BULLETINS, CHANNELS, GOSSIPED, WATCHED, Received, Traffic
+
+QUEUE = 4096
+"""Messages kept between two polls; the newest beyond that are dropped and counted."""
+QUEUE_BYTES = 16 * 2**20
+"""... and payload bytes."""
+PRESENT, LONGEST_NAME = 256, 64
+"""So many are noticed at most, whatever strangers pretend, by names of at most so many characters."""
+
+
+class NetworkError(DgorlError):
+    """The network cannot be used as the team file says."""
+
+
+def open_session(settings: Mapping[str, Any]) -> zenoh.Session:
+    """A Zenoh session; settings: slash-separated key → value. Raises NetworkError with what Zenoh says."""
+    try:
+        configuration = zenoh.Config()
+        for key, value in settings.items():
+            configuration.insert_json5(key, json.dumps(value))
+        return zenoh.open(configuration)
+    except zenoh.ZError as error:
+        what = str(error).split(" at /")[0].splitlines()[0]
+        endpoints = [*settings.get("listen/endpoints", ()), *settings.get("connect/endpoints", ())]
+        raise NetworkError(f"network: cannot be opened ({', '.join(endpoints)}): {what}") from error
+
+
+class ZenohTransport:
+    """One robot on its team's network; a Transport.
+
+    clock: the robot's local clock [s], read when a message comes in. folder: where relative paths of TLS files start.
+    watching: it is no robot of the team but hears digests and bulletins of all, and says nothing.
+    Raises NetworkError when the network cannot be used, ConfigurationError for missing TLS files.
+    """
+
+    def __init__(
+        self,
+        team: str,
+        robot: str,
+        network: Network,
+        clock: Callable[[], float],
+        folder: Path,
+        *,
+        watching: bool = False,
+    ) -> None:
+        self._robot, self._clock = None if watching else robot, clock
+        self._lock = Lock()
+        self._inbox: deque[Received] = deque()
+        self._waiting = 0
+        self._present: set[str] = set()
+        self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped = 0, 0, 0, 0, 0
+        self._session = open_session(zenoh_settings(network, robot, folder, watching=watching))
+        own = f"dgorl/{team}/{robot}"
+        self._publishers: dict[str, zenoh.Publisher] = {
+            channel: self._publisher(f"{own}/{channel}") for channel in (() if watching else CHANNELS)
+        }
+        # Called straight from the network's thread: a slow process slows its senders, who drop, and queues nowhere.
+        for channel in WATCHED if watching else GOSSIPED:
+            self._session.declare_subscriber(f"dgorl/{team}/*/{channel}", Callback(self._hear, indirect=False))
+        liveliness = self._session.liveliness()
+        liveliness.declare_subscriber(f"dgorl/{team}/*/alive", Callback(self._notice, indirect=False), history=True)
+        self._token = None if watching else liveliness.declare_token(f"{own}/alive")
+
+    def send(self, channel: str, payload: bytes) -> None:
+        """To all who hear; dropped under congestion by Zenoh, unseen here, or counted when there is no network.
+
+        A bulletin costs nothing while nobody watches.
+        """
+        publisher = self._publishers.get(channel)
+        try:
+            if publisher is None:
+                raise zenoh.ZError(f"no channel {channel}")
+            if channel == BULLETINS and not publisher.matching_status.matching:  # type: ignore[attr-defined]
+                return
+            publisher.put(payload)
+        except zenoh.ZError:
+            with self._lock:
+                self._dropped += 1
+            return
+        with self._lock:
+            self._sent += 1
+            self._sent_bytes += len(payload)
+
+    def poll(self) -> list[Received]:
+        """What came since the last poll, in the order it came."""
+        with self._lock:
+            inbox, self._inbox, self._waiting = self._inbox, deque(), 0
+        return list(inbox)
+
+    def present(self) -> frozenset[str]:
+        """The other robots on the network now."""
+        with self._lock:
+            return frozenset(self._present)
+
+    @property
+    def traffic(self) -> Traffic:
+        """Payload carried so far."""
+        with self._lock:
+            return Traffic(self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped)
+
+    def close(self) -> None:
+        """Leave the network; what is sent afterwards is dropped and counted."""
+        if not self._session.is_closed():
+            self._publishers = {}
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def _publisher(self, key: str) -> zenoh.Publisher:
+        return self._session.declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE
+        )
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        at = self._clock()
+        sender, channel = _named(sample)
+        if sample.kind != zenoh.SampleKind.PUT or not sender or sender == self._robot:
+            return
+        size = len(sample.payload)
+        with self._lock:
+            if len(self._inbox) >= QUEUE or self._waiting + size > QUEUE_BYTES:
+                self._dropped += 1
+                return
+            self._inbox.append(Received(channel, sender, sample.payload.to_bytes(), at))
+            self._waiting += size
+            self._received += 1
+            self._received_bytes += size
+
+    def _notice(self, sample: zenoh.Sample) -> None:
+        robot, _ = _named(sample)
+        if robot == self._robot or not robot:
+            return
+        with self._lock:
+            if sample.kind != zenoh.SampleKind.PUT:
+                self._present.discard(robot)
+            elif len(self._present) < PRESENT and len(robot) <= LONGEST_NAME:
+                self._present.add(robot)
+
+
+def _named(sample: zenoh.Sample) -> tuple[str, str]:
+    """The last two parts of a sample's key; empty for one with wildcards, which a stranger may use."""
+    key = str(sample.key_expr)
+    _, _, robot, what = key.split("/") if "*" not in key else ("",) * 4
+    return robot, what
