@@ -1,0 +1,150 @@
+"""``dgorl monitor`` and ``dgorl doctor`` beside real agents on loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from .commandline import ENVIRONMENT, Dgorl, command, fails_well
+from .live_team import LiveTeam, live_team
+
+
+@pytest.fixture(scope="module")
+def team(tmp_path_factory: pytest.TempPathFactory, dgorl: Dgorl) -> Iterator[LiveTeam]:
+    """r1 and r2 are there, r3 has another team.yaml."""
+    with live_team(tmp_path_factory.mktemp("team")) as made:
+        made.start("r1")
+        made.start("r2")
+        made.start("r3", made.write("other.yaml", {"history": 60.0}))
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            done = dgorl("monitor", "--team", made.file, "--once", "--json", "--seconds", "3")
+            told = json.loads(done.stdout)["robots"] if done.returncode == 0 else {}
+            if all(robot["says"] for robot in told.values()) and "tracked" in str(told.get("r1")):
+                break
+        yield made
+
+
+def test_once_prints_a_table(dgorl: Dgorl, team: LiveTeam) -> None:
+    done = dgorl("monitor", "--team", team.file, "--once")
+    assert done.returncode == 0, done.stderr
+    assert "Team lab: 3 of 3 robots are heard" in done.stdout
+    assert "r3: has another team.yaml" in done.stdout
+    rows = [line.split() for line in done.stdout.splitlines()]
+    assert any(row[:1] == ["r1"] and "r2" in row and "tracked" in row for row in rows), done.stdout
+
+
+def test_one_robot_as_json(dgorl: Dgorl, team: LiveTeam) -> None:
+    done = dgorl("monitor", "--team", team.file, "--once", "--json", "--robot", "r1")
+    assert done.returncode == 0, done.stderr
+    state = json.loads(done.stdout)
+    assert state["team"] == "lab"
+    assert list(state["robots"]) == ["r1"]
+    robot = state["robots"]["r1"]
+    assert robot["same_team_file"] is True
+    assert abs(robot["clock"]["ahead_s"]) < 0.5
+    peer = robot["says"]["peers"]["r2"]
+    assert peer["status"] == "tracked"
+    assert peer["pose"][:2] == pytest.approx([3.0, 0.0], abs=0.5)
+    assert 0.0 < peer["position_sigma_m"] < 1.0
+    assert robot["says"]["loss"]["r2"] < 0.5
+    assert robot["says"]["sent_bytes_per_s"] > 0
+
+
+def test_watching_costs_robots_nothing_that_they_hear(dgorl: Dgorl, team: LiveTeam) -> None:
+    """Robots do not get bulletins: what r1 receives is what the others send beside them."""
+    state = json.loads(dgorl("monitor", "--team", team.file, "--once", "--json").stdout)["robots"]
+    assert "monitor" not in state["r1"]["says"]["present"]
+    assert state["r1"]["says"]["present"] == ["r2", "r3"]
+
+
+@pytest.mark.parametrize("terminal", [False, True], ids=["pipe", "terminal"])
+def test_live_until_interrupted(team: LiveTeam, terminal: bool) -> None:
+    ours, theirs = pty.openpty() if terminal else os.pipe()
+    process = subprocess.Popen(
+        command("monitor", "--team", team.file, "--every", "0.5"),
+        stdout=theirs,
+        stderr=subprocess.PIPE,
+        env=ENVIRONMENT,
+    )
+    os.close(theirs)
+    text, deadline = b"", time.monotonic() + 30
+    while text.count(b"Team lab") < 3 and time.monotonic() < deadline:
+        text += os.read(ours, 65536)
+    process.send_signal(signal.SIGINT)
+    try:
+        while os.read(ours, 65536):
+            pass
+    except OSError:  # the terminal is closed
+        pass
+    _, errors = process.communicate(timeout=20)
+    os.close(ours)
+    assert text.count(b"Team lab") >= 3
+    assert process.returncode == 130
+    assert errors == b"interrupted\n"
+    assert (b"\x1b[" in text) == terminal
+
+
+def test_a_picture_on_disk(dgorl: Dgorl, team: LiveTeam, tmp_path: Path) -> None:
+    picture = tmp_path / "live.png"
+    done = dgorl("monitor", "--team", team.file, "--viewer", "--once", "--out", picture)
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert list(tmp_path.iterdir()) == [picture]
+
+
+def test_doctor_names_whose_file_differs(dgorl: Dgorl, team: LiveTeam) -> None:
+    done = dgorl("doctor", "--team", team.file, "--journal", team.folder / "r1.journal", "--seconds", "4")
+    assert done.returncode == 1
+    assert "r3: another team.yaml (hash" in done.stdout
+    assert "r1 is on the network, dgorl" in done.stdout
+    assert "in use by an agent" in done.stdout
+    assert done.stderr.startswith("dgorl: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_doctor_says_who_is_missing_as_json(dgorl: Dgorl, tmp_path: Path) -> None:
+    with live_team(tmp_path) as team:
+        team.start("r1")
+        deadline = time.monotonic() + 30
+        while (
+            dgorl("monitor", "--team", team.file, "--once", "--seconds", "3").returncode and time.monotonic() < deadline
+        ):
+            pass
+        done = dgorl("doctor", "--team", team.file, "--json", "--seconds", "3")
+    assert done.returncode == 1
+    told = json.loads(done.stdout)
+    assert told["well"] is False
+    problems = [finding["what"] for finding in told["findings"] if finding["level"] == "problem"]
+    assert len(problems) == 2
+    for robot, problem in zip(("r2", "r3"), problems, strict=True):
+        address = team.data["transport"]["addresses"][robot]
+        assert problem == f"{robot} is not on the network ({address}: the machine is there, no agent listens)"
+
+
+def test_nobody_is_heard(dgorl: Dgorl, tmp_path: Path) -> None:
+    with live_team(tmp_path) as team:
+        done = dgorl("monitor", "--team", team.file, "--once", "--seconds", "0.5")
+        assert "nobody was heard for 0.5 s; `dgorl doctor --team" in fails_well(done)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["--robot", "r7", "--once"], "no robot is called `r7`"),
+        (["--out", "x.png"], "--viewer"),
+        (["--every", "0"], "must be positive"),
+        (["--viewer", "--once"], "--out FILE.png"),
+    ],
+)
+def test_what_cannot_be_is_said(dgorl: Dgorl, tmp_path: Path, arguments: list[str], what: str) -> None:
+    with live_team(tmp_path) as team:
+        assert what in fails_well(dgorl("monitor", "--team", team.file, *arguments))
