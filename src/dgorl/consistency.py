@@ -7,12 +7,15 @@ covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its reading
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
 from dgorl import se2
-from dgorl.graph import residuals
+from dgorl.graph import residuals, weights
 from dgorl.history import History
 from dgorl.optimization import native
 from dgorl.se2 import Array
@@ -22,14 +25,17 @@ from dgorl.window import Window
 INTERVALS = (5.0, 10.0)
 """Between these ages of theirs [s] at the node, the odometry steps bent most are tested."""
 
+TAIL = 1e-4
+"""By chance, one node in this many finds somebody: it is shared among all that a node looks at."""
+
 CLIP = 9.0
-"""A reading's squared normalised residual counts at most this much: a few outliers are no reason."""
+"""A reading's squared normalised residual counts at most this much."""
+
+OUTLIERS = 1 / 3
+"""This share of a robot's readings, the worst, is no reason: they had no line of sight."""
 
 FEWEST = 3
 """Readings below which a robot's sum says nothing."""
-
-QUANTILE = 3.719
-"""Standard normal quantile of a tail of 1e-4."""
 
 NEAR_RANK = 1e-6
 """Directions in which Q − C is this small beside Q are not determined by the rest of the window."""
@@ -46,20 +52,40 @@ class Suspect:
     """for how many nodes in a row"""
 
 
-def chi2_limit(dof: float) -> float:
-    """What χ² with ``dof`` degrees of freedom exceeds with probability 1e-4 (Wilson–Hilferty)."""
+def chi2_limit(dof: float, tail: float = TAIL) -> float:
+    """What χ² with ``dof`` degrees of freedom exceeds with probability ``tail`` (Wilson–Hilferty)."""
     spread = 2.0 / (9.0 * dof)
-    return float(dof * (1.0 - spread + QUANTILE * np.sqrt(spread)) ** 3)
+    return float(dof * (1.0 - spread + NormalDist().inv_cdf(1.0 - tail) * np.sqrt(spread)) ** 3)
 
 
-def suspect(history: History, window: Window, poses: Array, g: float) -> Suspect | None:
-    """The member that fits worst at node g [s], if it fits badly; poses (N, 3) are the window's optimum."""
-    found = [*_carried(window, poses, g), *_rejected(history, window, poses, g)]
-    worst = max(found, key=lambda s: (s.excess, s.key), default=None)
-    return worst if worst is not None and worst.excess > 1.0 else None
+def suspects(history: History, window: Window, poses: Array, g: float) -> list[Suspect]:
+    """The members that fit badly at node g [s], the worst first; poses (N, 3) are the window's optimum."""
+    steps = int(INTERVALS[-1] * KEYFRAMES_PER_SECOND)
+    tail = TAIL / (len(window.layout) * (steps + 1))  # each member's steps, of which the most bent are tested, and sum
+    worst: dict[TrackKey, Suspect] = {}
+    for found in (*_carried(window, poses, g, tail), *_rejected(window, poses, g, tail)):
+        if found.excess > max(worst[found.key].excess if found.key in worst else 1.0, 1.0):
+            worst[found.key] = found
+    return sorted(worst.values(), key=lambda s: (-s.excess, s.key))
 
 
-def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
+class _Readings(NamedTuple):
+    """Readings of one kind: stamps, normalised residuals, robust weights (M,), numbers of the members they are between."""
+
+    stamp: Array
+    residual: Array
+    weight: Array
+    ends: tuple[Array, Array]
+
+
+def _readings(window: Window, poses: Array) -> Iterator[_Readings]:
+    owner = np.repeat(np.arange(len(window.layout)), [count for _, _, count in window.layout.values()])
+    for scalars, stamps in zip(window.problem.scalars, window.stamps, strict=True):
+        residual = residuals(window.problem, scalars, poses)
+        yield _Readings(stamps, residual, weights(residual, scalars.loss), (owner[scalars.i], owner[scalars.j]))
+
+
+def _carried(window: Window, poses: Array, g: float, tail: float) -> list[Suspect]:
     """Odometry steps against the rest of the window."""
     rows = _strained(window, poses, int(np.floor(g * KEYFRAMES_PER_SECOND)))
     if len(window.layout) < 2 or not rows:
@@ -76,8 +102,22 @@ def _carried(window: Window, poses: Array, g: float) -> list[Suspect]:
     cross = cross @ back.swapaxes(1, 2)
     posterior = second - cross - cross.swapaxes(1, 2) + back @ first @ back.swapaxes(1, 2)
     claimed = np.asarray(np.linalg.inv(information[step]))
-    drop = _drop(se2.between(delta[step], motion), claimed, posterior) / chi2_limit(3)
+    drop = _drop(se2.between(delta[step], motion), claimed, posterior) / (_spread(window, poses) * chi2_limit(3, tail))
     return [Suspect(key, keyframe, float(t)) for (key, keyframe, _), t in zip(rows, drop, strict=True)]
+
+
+def _spread(window: Window, poses: Array) -> float:
+    """How much more the readings pull than their σ says: Huber's E[ψ²] ÷ E[w]², 1 where none is an outlier.
+
+    Outliers that a kernel tames still pull, each at most as its width; a step bent by many is no sign of a break.
+    """
+    readings = list(_readings(window, poses))
+    if not readings:
+        return 1.0
+    weight = np.concatenate([r.weight for r in readings])
+    pull = weight * np.concatenate([r.residual for r in readings])
+    tamed = weight < 1
+    return max(float(np.mean(pull**2) / np.mean(weight) ** 2), 1.0) if tamed.any() else 1.0
 
 
 def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, int, int]]:
@@ -109,20 +149,21 @@ def _drop(u: Array, q: Array, c: Array) -> Array:
     return np.asarray(np.sum(np.where(values > NEAR_RANK, part**2 / np.maximum(values, NEAR_RANK), 0.0), axis=1))
 
 
-def _rejected(history: History, window: Window, poses: Array, g: float) -> list[Suspect]:
-    """Sums of every member's clipped squared residuals of the last 5 s."""
+def _rejected(window: Window, poses: Array, g: float, tail: float) -> list[Suspect]:
+    """Sums of every member's clipped squared residuals of the last 5 s, its worst third left out."""
     since = g - INTERVALS[0]
-    keys = list(window.layout)
-    owner = np.repeat(np.arange(len(keys)), [count for _, _, count in window.layout.values()])
-    total, number = np.zeros(len(keys)), np.zeros(len(keys))
-    for scalars, stamps in zip(window.problem.scalars, window.stamps, strict=True):
-        first = int(np.searchsorted(stamps, since, "right"))
-        i, j = owner[scalars.i[first:]], owner[scalars.j[first:]]
-        square = np.minimum(residuals(window.problem, scalars, poses)[first:] ** 2, CLIP)
-        for end in (i, j):
-            total += np.bincount(end, square, len(keys))
-            number += np.bincount(end, minlength=len(keys))
+    member, square = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for readings in _readings(window, poses):
+        first = int(np.searchsorted(readings.stamp, since, "right"))
+        for end in readings.ends:
+            member.append(end[first:])
+            square.append(np.minimum(readings.residual[first:] ** 2, CLIP))
+    owner, squares = np.concatenate(member), np.concatenate(square)
     keyframe = int(np.floor(since * KEYFRAMES_PER_SECOND))
-    return [
-        Suspect(key, keyframe, total[k] / chi2_limit(number[k])) for k, key in enumerate(keys) if number[k] >= FEWEST
-    ]
+    found = []
+    for k, key in enumerate(window.layout):
+        mine = np.sort(squares[owner == k])
+        kept = int(np.ceil(len(mine) * (1 - OUTLIERS)))
+        if kept >= FEWEST:
+            found.append(Suspect(key, keyframe, float(mine[:kept].sum()) / chi2_limit(kept, tail)))
+    return found

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import ceil, floor, inf
 
-from dgorl.consistency import Suspect, suspect
+from dgorl.consistency import Suspect, suspects
 from dgorl.expansion.beam import retried
 from dgorl.expansion.clusters import advance
 from dgorl.expansion.hypotheses import Cluster
@@ -146,7 +146,7 @@ class Memo:
             tracks = {track.key: track for track in self._history.tracks}
             component = retried(Step(self._history, tracks, g, since), component)
         done = settled(self._history, component, low, g, boundary)
-        seen = suspect(self._history, done.window, done.poses, g)
+        seen = next(iter(suspects(self._history, done.window, done.poses, g)), None)
         if seen is None:
             return done.component, None, None
         if seen.key in before:
