@@ -81,7 +81,7 @@ class _Reader:
         if not isinstance(self.data, dict):
             raise LogError(path, 1, "must say `robots: [r1, r2]` and may say more, got no mapping")
         self.lines: dict[str, int] = {}
-        for name, line in _key_lines(node, ""):
+        for name, line in key_lines(node, ""):
             if name in self.lines:
                 raise LogError(path, line, f"`{name}` stands here twice (first in line {self.lines[name]})")
             self.lines[name] = line
@@ -167,10 +167,10 @@ class _Reader:
         return configuration
 
 
-def _key_lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:
+def key_lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:
     """Dotted names of all keys with their lines."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             name = f"{prefix}{key.value}"
             yield name, key.start_mark.line + 1
-            yield from _key_lines(value, f"{name}.")
+            yield from key_lines(value, f"{name}.")

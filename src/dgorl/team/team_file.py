@@ -7,7 +7,7 @@ Beside ``team``, ``robots``, ``insecure``, ``substep``, ``transport``, ``start``
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
@@ -20,7 +20,7 @@ import yaml
 from dgorl.configuration import Configuration, as_dict, merge, nearest
 from dgorl.errors import ConfigurationError, MeasurementError
 from dgorl.logs.log import Start
-from dgorl.logs.team import valid_name
+from dgorl.logs.team import key_lines, valid_name
 from dgorl.replay import start_priors
 from dgorl.team.keys import KeyFileError, Roster, public_key
 from dgorl.team.messages import HASH_BYTES
@@ -93,7 +93,7 @@ class _Reader:
         if not isinstance(self.data, dict):
             raise ConfigurationError(f"{path}:1: must be a mapping with `team` and `robots`")
         self.lines: dict[str, int] = {}
-        for name, number in _lines(node, ""):
+        for name, number in key_lines(node, ""):
             if name in self.lines:
                 first = self.lines[name]
                 raise ConfigurationError(f"{path}:{number}: `{name}` stands here twice, first in line {first}")
@@ -220,12 +220,3 @@ class _Reader:
 
 def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
-
-
-def _lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:
-    """Dotted names of all keys with their lines."""
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            name = f"{prefix}{key.value}"
-            yield name, key.start_mark.line + 1
-            yield from _lines(value, f"{name}.")
