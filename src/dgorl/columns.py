@@ -17,6 +17,9 @@ class Column:
         self._data: NDArray[Any] = np.zeros((16, *shape), dtype)
         self._size = 0
 
+    def __len__(self) -> int:
+        return self._size
+
     @property
     def view(self) -> NDArray[Any]:
         return self._data[: self._size]
@@ -24,9 +27,7 @@ class Column:
     def extend(self, rows: NDArray[Any]) -> None:
         size = self._size + len(rows)
         if size > len(self._data):
-            grown = np.zeros((2 * size, *self._data.shape[1:]), self._data.dtype)
-            grown[: self._size] = self.view
-            self._data = grown
+            self._data = _roomy(self.view, size)
         self._data[self._size : size] = rows
         self._size = size
 
@@ -38,5 +39,12 @@ class Column:
 
     def drop(self, count: int) -> None:
         """Drop the first ``count`` rows."""
-        self._data = self.view[count:].copy()
-        self._size = len(self._data)
+        self._size -= count
+        self._data = _roomy(self._data[count : count + self._size], self._size)
+
+
+def _roomy(rows: NDArray[Any], size: int) -> NDArray[Any]:
+    """The rows in a new array with room for ``size`` of them and some more."""
+    room = np.zeros((size + size // 4 + 16, *rows.shape[1:]), rows.dtype)
+    room[: len(rows)] = rows
+    return room

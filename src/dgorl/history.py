@@ -33,8 +33,8 @@ WORLD_KEY = TrackKey(WORLD, 0, -inf)
 LATE = 10.0
 """Data later than this [s] waits for the next node time, so that a laggard costs one rewind per node."""
 
-SEEN = 30.0
-"""What was admitted is remembered in stretches this long [s], to know duplicates."""
+KINDS = {Rssi: "rssi", Range: "range", Bearing: "bearing"}
+"""The table each reading is in."""
 
 DEFAULT_SILENCE = 30.0
 """Without a bounded window, a robot silent for longer than this [s] begins a new track."""
@@ -58,7 +58,6 @@ class History:
         self._heard: dict[str, int] = {}
         self._inbox: list[tuple[float, int, Measurement]] = []
         self._count = 0
-        self._seen: dict[float, set[Measurement]] = {}
         window = configuration.window
         self._silence = DEFAULT_SILENCE if window == "all" else float(window)
 
@@ -82,7 +81,7 @@ class History:
         fresh: dict[Measurement, None] = {}
         for item in taken:
             stamp, _, measurement = item
-            if measurement in self._seen.get(stamp // SEEN, ()):
+            if self._has(measurement):
                 continue
             since = measurement.start if isinstance(measurement, Odometry | Displacement) else stamp
             if now - since > self.configuration.history:
@@ -92,8 +91,6 @@ class History:
             else:
                 fresh[measurement] = None
         self._inbox = early + waiting
-        for measurement in fresh:
-            self._seen.setdefault(known_at(measurement) // SEEN, set()).add(measurement)
         return self._take(list(fresh)) if fresh else inf
 
     def forget(self, before: float) -> None:
@@ -103,7 +100,6 @@ class History:
             trail.forget(int(np.floor(before * KEYFRAMES_PER_SECOND)))
         for table in self.tables.values():
             table.forget(before)
-        self._seen = {bucket: seen for bucket, seen in self._seen.items() if (bucket + 1) * SEEN > before}
 
     def rewind(self, since: float) -> None:
         """Forget what is stamped after ``since`` [s], as if it had never come; it may come anew.
@@ -112,7 +108,6 @@ class History:
         """
         self.poses = [pose for pose in self.poses if pose.stamp <= since]
         self._inbox = [item for item in self._inbox if item[0] <= since]
-        self._seen = {bucket: {m for m in seen if known_at(m) <= since} for bucket, seen in self._seen.items()}
         for trail in self.trails.values():
             trail.rewind(since)
             self._number(trail)
@@ -176,10 +171,22 @@ class History:
             return None
         return reference, robot, stamp_a, stamp_b
 
+    def _has(self, m: Measurement) -> bool:
+        """Whether it was admitted before; not of readings that compete with others, which may come twice."""
+        match m:
+            case Odometry() | Displacement():
+                return m.robot in self.trails and self.trails[m.robot].has(m)
+            case RelativePose():
+                index = bisect.bisect_left(self.poses, _pose_order(m), key=_pose_order)
+                return self.poses[index : index + 1] == [m]
+            case Rssi() | Range() | Bearing():
+                table = self.tables[KINDS[type(m)]]
+                return m.stamp <= table.newest and table.has(self._converted(m))
+
     def _take(self, fresh: list[Measurement]) -> float:
         dirty = inf
         odometry: dict[str, list[Odometry | Displacement]] = {}
-        readings: dict[str, list[Reading]] = {"rssi": [], "range": [], "bearing": []}
+        readings: dict[str, list[Reading]] = {kind: [] for kind in self.tables}
         for m in fresh:
             match m:
                 case Odometry() | Displacement():
@@ -188,12 +195,8 @@ class History:
                 case RelativePose():
                     bisect.insort(self.poses, m, key=_pose_order)
                     dirty = min(dirty, m.stamp)
-                case Rssi():
-                    readings["rssi"].append(self._rssi(m))
-                case Range():
-                    readings["range"].append(self._range(m))
-                case Bearing():
-                    readings["bearing"].append(self._bearing(m))
+                case Rssi() | Range() | Bearing():
+                    readings[KINDS[type(m)]].append(self._converted(m))
         for robot in sorted(odometry):
             if robot not in self.trails:
                 self.trails[robot] = Trail(robot, self.configuration.motion, self._silence)
@@ -207,6 +210,15 @@ class History:
             dirty = min(dirty, table.add(readings[kind]))
             table.place(trails)
         return dirty
+
+    def _converted(self, m: Rssi | Range | Bearing) -> Reading:
+        match m:
+            case Rssi():
+                return self._rssi(m)
+            case Range():
+                return self._range(m)
+            case Bearing():
+                return self._bearing(m)
 
     def _rssi(self, m: Rssi) -> Reading:
         """METHOD §2: both directions share their shadowing, so each counts for less (correlation ρ)."""

@@ -7,7 +7,7 @@ fall between bins.
 
 from __future__ import annotations
 
-import bisect
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,6 +20,8 @@ from dgorl.se2 import Array
 
 UNPLACED = -1
 
+EACH = ("each",)
+"""What readings compete for that all count."""
 
 Order = tuple[float, str, str, float, float]
 
@@ -67,8 +69,7 @@ class Table:
     def __init__(self, kind: str, thinning: float, directed: bool) -> None:
         self.kind = kind
         self._thinning, self._directed = thinning, directed
-        self._order: list[Order] = []
-        self._names: list[tuple[str, str]] = []
+        self._called: dict[int, str] = {}
         self._best: dict[tuple[object, ...], tuple[tuple[object, ...], Reading]] = {}
         numbers = [Column((), np.int64) for _ in range(4)]
         self._columns = (Column(), Column(), Column(), *numbers, Column((3,)), Column((3,)))  # as in Rows
@@ -76,13 +77,28 @@ class Table:
         self._unplaced: set[int] = set()
 
     def __len__(self) -> int:
-        return len(self._order)
+        return len(self._columns[0])
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the last row [s], minus infinity if there is none."""
+        return self._columns[0].view[-1].item() if len(self) else -np.inf
+
+    def has(self, reading: Reading) -> bool:
+        """Whether a reading that competes with none is here."""
+        if self._slot(reading)[0] != EACH:
+            return False
+        order, row = reading.order, self._find(reading.order)
+        if row == len(self) or self._key(row) != order:
+            return False
+        rivals = sum(best.order == order for _, best in self._best.values())
+        return bisect_right(range(row, len(self)), order, key=self._key) > rivals
 
     def add(self, readings: Sequence[Reading]) -> float:
         """Take readings; the earliest stamp [s] from which rows changed, infinity if none did."""
         if self._thinning == 0 and all(reading.exchange is None for reading in readings):
             if readings:
-                self._insert(sorted(readings))
+                self._insert(sorted(set(readings)))
             return min((reading.stamp for reading in readings), default=np.inf)
         dirty = np.inf
         fresh: dict[tuple[object, ...], Reading] = {}
@@ -96,7 +112,7 @@ class Table:
                 if fresh.pop((rival[1].order, slot), None) is None:
                     removed.append(rival[1].order)
                 dirty = min(dirty, rival[1].stamp)
-            if slot[0] != "each":
+            if slot != EACH:
                 self._best[slot] = (merit, reading)
             fresh[reading.order, slot] = reading
             dirty = min(dirty, reading.stamp)
@@ -121,11 +137,10 @@ class Table:
 
     def displace(self, robot: str) -> None:
         """The tracks of ``robot`` were rebuilt: place its rows anew."""
-        self._unplaced.update(row for row, names in enumerate(self._names) if robot in names)
-
-    def names(self) -> list[tuple[str, str]]:
-        """Names (a, b) of all rows."""
-        return self._names
+        for number, name in self._called.items():
+            if name == robot:
+                a, b = (column.view == number for column in self._robots)
+                self._unplaced.update(np.flatnonzero(a | b).tolist())
 
     def between(self, low: float, high: float) -> Rows:
         """Views of the rows with low ≤ stamp ≤ high."""
@@ -135,9 +150,8 @@ class Table:
 
     def forget(self, before: float) -> None:
         """Drop rows stamped before ``before`` [s]."""
-        first = bisect.bisect_left(self._order, before, key=lambda order: order[0])
+        first = int(np.searchsorted(self._columns[0].view, before, "left"))
         if first:
-            del self._order[:first], self._names[:first]
             for column in (*self._columns, *self._robots):
                 column.drop(first)
             self._unplaced = {row - first for row in self._unplaced if row >= first}
@@ -145,8 +159,8 @@ class Table:
 
     def rewind(self, since: float) -> None:
         """Drop rows stamped after ``since`` [s]."""
-        first = bisect.bisect_right(self._order, since, key=lambda order: order[0])
-        if first < len(self._order):
+        first = int(np.searchsorted(self._columns[0].view, since, "right"))
+        if first < len(self):
             self._rearrange(first, [])
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp <= since}
 
@@ -160,14 +174,14 @@ class Table:
             return ("bin", pair, index), (distance, reading.order)
         if reading.exchange is not None:
             return ("exchange", pair, reading.exchange), reading.order
-        return ("each",), ()
+        return EACH, ()
 
     def _insert(self, readings: list[Reading]) -> None:
-        in_order = not self._order or readings[0].order >= self._order[-1]
-        base = len(self._order)
+        base = len(self)
         count = len(readings)
-        self._order.extend([reading.order for reading in readings])
-        self._names.extend([(r.a, r.b) for r in readings])
+        in_order = not base or readings[0].order >= self._key(base - 1)
+        for r in readings:
+            self._called[r.robot_a], self._called[r.robot_b] = r.a, r.b
         numbers = np.array([(r.stamp, r.value, r.sigma, r.robot_a, r.robot_b) for r in readings])
         for k, column in enumerate((*self._columns[:3], *self._robots)):
             column.extend(numbers[:, k])
@@ -179,18 +193,28 @@ class Table:
             column.extend(np.zeros((count, 3)))
         self._unplaced.update(range(base, base + count))
         if not in_order:
-            first = bisect.bisect_left(self._order, readings[0].order, hi=base)
-            self._rearrange(first, sorted(range(first, base + count), key=self._order.__getitem__))
+            first = self._find(readings[0].order, base)
+            self._rearrange(first, sorted(range(first, base + count), key=self._key))
 
     def _remove(self, orders: list[Order]) -> None:
-        gone = {bisect.bisect_left(self._order, order) for order in orders}
+        gone = {self._find(order) for order in orders}
         first = min(gone)
-        self._rearrange(first, [row for row in range(first, len(self._order)) if row not in gone])
+        self._rearrange(first, [row for row in range(first, len(self)) if row not in gone])
+
+    def _find(self, order: Order, end: int | None = None) -> int:
+        """The first row of the first ``end`` that is not before ``order``."""
+        stamps = self._columns[0].view[:end]
+        first, last = (int(np.searchsorted(stamps, order[0], side)) for side in ("left", "right"))
+        return first + bisect_left(range(first, last), order, key=self._key)
+
+    def _key(self, row: int) -> Order:
+        """By which a row is sorted."""
+        stamp, value, sigma = (column.view[row].item() for column in self._columns[:3])
+        a, b = (self._called[column.view[row].item()] for column in self._robots)
+        return stamp, a, b, value, sigma
 
     def _rearrange(self, first: int, rows: list[int]) -> None:
         """Replace everything from row ``first`` on by the given rows, in the given order."""
-        self._order[first:] = [self._order[row] for row in rows]
-        self._names[first:] = [self._names[row] for row in rows]
         for column in (*self._columns, *self._robots):
             column.rearrange(first, np.array(rows, dtype=np.int64))
         moved = {old: first + k for k, old in enumerate(rows) if old in self._unplaced}

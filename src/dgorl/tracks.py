@@ -6,14 +6,15 @@ canonical order and late ones rebuild the tracks. The core holds the steps; here
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Sequence
 from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dgorl import _core
+from dgorl.columns import Column
 from dgorl.configuration import Motion
 from dgorl.measurements import Displacement, Odometry
 from dgorl.se2 import Array
@@ -25,6 +26,8 @@ Row = tuple[float, ...]
 """start, end, epoch, 1 for a twist, its three values, six covariances: sorts canonically."""
 
 _UNSTATED = (float("nan"),) * 6
+WIDE, NARROW = 13, 7
+"""Numbers of a row, and of one that states no covariance."""
 
 
 class TrackKey(NamedTuple):
@@ -55,20 +58,27 @@ class Trail:
         self.tracks: list[Track] = []
         self.core = _core.Trail(motion_values(motion), silence)
         self._lag, self._stated = motion.lag, motion.stated_covariance
-        self._rows: list[Row] = []
+        self._rows = Column((NARROW,))
+
+    def has(self, m: Odometry | Displacement) -> bool:
+        """Whether the tracks are made of this row, too."""
+        rows = self._rows.view
+        if not len(rows) or m.start > rows[-1, 0]:
+            return False
+        first, last = (int(np.searchsorted(rows[:, 0], m.start, side)) for side in ("left", "right"))
+        same = rows[first:last]
+        return bool(len(same)) and bool(_equal(_wide(same), np.array(odometry_row(m, self._stated))).any())
 
     def add(self, odometry: Sequence[Odometry | Displacement]) -> bool:
         """Take new odometry; True when it came in order, False when the tracks were rebuilt."""
-        rows = sorted(odometry_row(m, self._stated) for m in odometry)
-        in_order = not self._rows or rows[0][:4] > self._rows[-1][:4]
+        rows = _in_order(np.array([odometry_row(m, self._stated) for m in odometry]))
+        known = self._rows.view
+        in_order = not len(known) or tuple(rows[0, :4]) > tuple(known[-1, :4])
         if in_order:
-            self._rows.extend(rows)
-            self.core.extend(np.array(rows))
+            self._keep(rows)
+            self.core.extend(rows)
         else:
-            for row in rows:
-                bisect.insort(self._rows, row)
-            self.core.restart()
-            self.core.extend(np.array(self._rows))
+            self._replace(_in_order(np.concatenate([_wide(known), rows])))
         self._name()
         return in_order
 
@@ -83,17 +93,30 @@ class Trail:
         """Drop what ended before keyframe ``before``."""
         self.core.forget(before)
         stamp = self.core.tracks[0].first / KEYFRAMES_PER_SECOND - self._lag
-        keep = bisect.bisect_right(self._rows, stamp, key=lambda row: row[1])
-        del self._rows[: min(keep, len(self._rows) - 1)]
+        rows = self._rows.view
+        self._rows.drop(min(int(np.searchsorted(rows[:, 1], stamp, "right")), len(rows) - 1))
         self._name()
 
     def rewind(self, since: float) -> None:
         """Forget the odometry that ended after ``since`` [s]."""
-        self._rows = [row for row in self._rows if row[1] <= since]
-        self.core.restart()
-        if self._rows:
-            self.core.extend(np.array(self._rows))
+        rows = self._rows.view
+        self._replace(_wide(rows[rows[:, 1] <= since]))
         self._name()
+
+    def _replace(self, rows: Array) -> None:
+        self._rows = Column((NARROW,))
+        self._keep(rows)
+        self.core.restart()
+        if len(rows):
+            self.core.extend(rows)
+
+    def _keep(self, rows: Array) -> None:
+        """Add rows that follow on. Wheels report at up to 100 Hz: covariances take no room where none is stated."""
+        known = self._rows.view
+        if known.shape[1] == NARROW and not np.isnan(rows[:, NARROW:]).all():
+            self._rows = Column((WIDE,))
+            self._rows.extend(_wide(known))
+        self._rows.extend(rows[:, : self._rows.view.shape[1]])
 
     def _name(self) -> None:
         tracks = self.core.tracks
@@ -111,3 +134,23 @@ def odometry_row(m: Odometry | Displacement, stated: bool = True) -> Row:
     if isinstance(m, Odometry):
         return (m.start, m.end, m.epoch, 1.0, m.v, 0.0, m.omega, *_UNSTATED)
     return (m.start, m.end, m.epoch, 0.0, m.dx, m.dy, m.dtheta, *((stated and m.covariance) or _UNSTATED))
+
+
+def _wide(rows: Array) -> Array:
+    """Rows as the core takes them."""
+    wide = np.full((len(rows), WIDE), np.nan)
+    wide[:, : rows.shape[1]] = rows
+    return wide
+
+
+def _in_order(rows: Array) -> Array:
+    """Rows in canonical order, each once."""
+    rows = rows[np.lexsort(rows.T[::-1])]
+    first: Array = rows[np.append(True, ~_equal(rows[1:], rows[:-1]))]
+    return first
+
+
+def _equal(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Which rows are the same; covariances not stated are."""
+    same: NDArray[np.bool_] = ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=-1)
+    return same

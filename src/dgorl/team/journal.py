@@ -28,6 +28,9 @@ LIMIT = 256 * 2**20
 LOG_LIMIT = 4 * 2**20
 """What SQLite's write-ahead log may keep on the disk [bytes]."""
 
+CACHE = 256
+"""Pages SQLite keeps in memory [KiB]: a journal is written at its end and read when it is opened."""
+
 Synchronous = Literal["full", "normal"]
 """full: own bundles survive a power cut. normal: they survive ``kill -9``; after a power cut a new epoch begins."""
 
@@ -66,6 +69,7 @@ class Journal:
         self._database, memory, aside = opened(path, facts, keep, marked=state is not None)
         try:
             self._database.execute(f"PRAGMA journal_size_limit = {LOG_LIMIT}")
+            self._database.execute(f"PRAGMA cache_size = -{CACHE}")
             self._entries = Entries(self._database)
             self._now = self.last = memory.last
             self.known, self.admitted = memory.known, memory.admitted

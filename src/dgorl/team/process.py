@@ -20,6 +20,7 @@ from dgorl.localizer import RETAINED
 from dgorl.replay import start_priors
 from dgorl.team.agent import Agent
 from dgorl.team.faults import Faults, Faulty
+from dgorl.team.footprint import keep_small
 from dgorl.team.journal import Journal, Synchronous
 from dgorl.team.keys import UNSIGNED, KeyFileError, Signer, load_key
 from dgorl.team.lines import WAITING, LinesIn, LinesOut
@@ -85,6 +86,7 @@ def run(setup: Setup) -> None:
 
     Raises DgorlError, and KeyboardInterrupt when all is done after SIGINT.
     """
+    keep_small()
     stop, signals = threading.Event(), []
 
     def told(number: int, _: object) -> None:
