@@ -7,8 +7,8 @@ covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its reading
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -16,8 +16,8 @@ import numpy as np
 
 from dgorl import se2
 from dgorl.graph import residuals, weights
-from dgorl.history import History
 from dgorl.optimization import native
+from dgorl.optimization.problem import Indices
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Window
@@ -37,19 +37,33 @@ OUTLIERS = 1 / 3
 FEWEST = 3
 """Readings below which a robot's sum says nothing."""
 
+SAME_STEP = 2
+"""Keyframes up to which two nodes mean the same step."""
+
 NEAR_RANK = 1e-6
 """Directions in which Q − C is this small beside Q are not determined by the rest of the window."""
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A member that fits badly since keyframe ``since``; excess: of its statistic over the tail's, 1 at the limit."""
+    """A member that fits badly since keyframe ``since``; excess: of its statistic over the tail's, 1 at the limit.
+
+    carried: by a step of its odometry, at ``since``, not by its readings.
+    """
 
     key: TrackKey
     since: int
     excess: float
+    carried: bool
     nodes: int = 1
     """for how many nodes in a row"""
+
+    def after(self, before: Suspect | None) -> Suspect:
+        """The same, at the node that follows ``before``; two different steps of its odometry are two stories."""
+        if before is None or (self.carried and before.carried and abs(self.since - before.since) > SAME_STEP):
+            return self
+        since = self.since if self.carried else min(self.since, before.since)
+        return replace(self, since=since, nodes=before.nodes + 1)
 
 
 def chi2_limit(dof: float, tail: float = TAIL) -> float:
@@ -58,24 +72,40 @@ def chi2_limit(dof: float, tail: float = TAIL) -> float:
     return float(dof * (1.0 - spread + NormalDist().inv_cdf(1.0 - tail) * np.sqrt(spread)) ** 3)
 
 
-def suspects(history: History, window: Window, poses: Array, g: float) -> list[Suspect]:
-    """The members that fit badly at node g [s], the worst first; poses (N, 3) are the window's optimum."""
-    steps = int(INTERVALS[-1] * KEYFRAMES_PER_SECOND)
-    tail = TAIL / (len(window.layout) * (steps + 1))  # each member's steps, of which the most bent are tested, and sum
+def suspects(window: Window, poses: Array, g: float, before: Mapping[TrackKey, Suspect]) -> list[Suspect]:
+    """The members that fit badly at node g [s], the worst first; poses (N, 3) are the window's optimum.
+
+    before: those of the node before. Who is one of them is not picked out of many, and answers for this one test.
+    """
+    looks = len(window.layout) * (int(INTERVALS[-1] * KEYFRAMES_PER_SECOND) + 1)  # every step of all, and every sum
     worst: dict[TrackKey, Suspect] = {}
-    for found in (*_carried(window, poses, g, tail), *_rejected(window, poses, g, tail)):
+    for found, dof in (*_carried(window, poses, g), *_rejected(window, poses, g)):
+        again = found.key in before and found.after(before[found.key]).nodes > 1
+        found = replace(found, excess=found.excess / chi2_limit(dof, TAIL if again else TAIL / looks))
         if found.excess > max(worst[found.key].excess if found.key in worst else 1.0, 1.0):
             worst[found.key] = found
     return sorted(worst.values(), key=lambda s: (-s.excess, s.key))
 
 
+def unfit(window: Window, poses: Array, g: float) -> frozenset[TrackKey]:
+    """Members whose readings of the last 5 s no pose of theirs explains, one after another, without those before it."""
+    gone: frozenset[TrackKey] = frozenset()
+    tail = TAIL / len(window.layout)
+    while True:
+        found = [(s.excess / chi2_limit(dof, tail), s.key) for s, dof in _rejected(window, poses, g, gone)]
+        excess, key = max(found, default=(0.0, None))
+        if key is None or excess <= 1.0:
+            return gone
+        gone |= {key}
+
+
 class _Readings(NamedTuple):
-    """Readings of one kind: stamps, normalised residuals, robust weights (M,), numbers of the members they are between."""
+    """Readings of one kind: stamps, normalised residuals, robust weights (M,), numbers of both members."""
 
     stamp: Array
     residual: Array
     weight: Array
-    ends: tuple[Array, Array]
+    ends: tuple[Indices, Indices]
 
 
 def _readings(window: Window, poses: Array) -> Iterator[_Readings]:
@@ -85,8 +115,8 @@ def _readings(window: Window, poses: Array) -> Iterator[_Readings]:
         yield _Readings(stamps, residual, weights(residual, scalars.loss), (owner[scalars.i], owner[scalars.j]))
 
 
-def _carried(window: Window, poses: Array, g: float, tail: float) -> list[Suspect]:
-    """Odometry steps against the rest of the window."""
+def _carried(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]]:
+    """Odometry steps against the rest of the window, T as the excess, and its degrees of freedom."""
     rows = _strained(window, poses, int(np.floor(g * KEYFRAMES_PER_SECOND)))
     if len(window.layout) < 2 or not rows:
         return []
@@ -102,8 +132,8 @@ def _carried(window: Window, poses: Array, g: float, tail: float) -> list[Suspec
     cross = cross @ back.swapaxes(1, 2)
     posterior = second - cross - cross.swapaxes(1, 2) + back @ first @ back.swapaxes(1, 2)
     claimed = np.asarray(np.linalg.inv(information[step]))
-    drop = _drop(se2.between(delta[step], motion), claimed, posterior) / (_spread(window, poses) * chi2_limit(3, tail))
-    return [Suspect(key, keyframe, float(t)) for (key, keyframe, _), t in zip(rows, drop, strict=True)]
+    drop = _drop(se2.between(delta[step], motion), claimed, posterior) / _spread(window, poses)
+    return [(Suspect(key, keyframe, float(t), True), 3) for (key, keyframe, _), t in zip(rows, drop, strict=True)]
 
 
 def _spread(window: Window, poses: Array) -> float:
@@ -149,15 +179,21 @@ def _drop(u: Array, q: Array, c: Array) -> Array:
     return np.asarray(np.sum(np.where(values > NEAR_RANK, part**2 / np.maximum(values, NEAR_RANK), 0.0), axis=1))
 
 
-def _rejected(window: Window, poses: Array, g: float, tail: float) -> list[Suspect]:
-    """Sums of every member's clipped squared residuals of the last 5 s, its worst third left out."""
+def _rejected(
+    window: Window, poses: Array, g: float, gone: frozenset[TrackKey] = frozenset()
+) -> list[tuple[Suspect, int]]:
+    """Every member's sum of clipped squared residuals of the last 5 s without its worst third, and of how many.
+
+    gone: members that are left out with all their readings.
+    """
     since = g - INTERVALS[0]
     member, square = [np.zeros(0, np.int64)], [np.zeros(0)]
+    out = np.array([key in gone for key in window.layout], dtype=bool)
     for readings in _readings(window, poses):
-        first = int(np.searchsorted(readings.stamp, since, "right"))
+        use = (readings.stamp > since) & ~out[readings.ends[0]] & ~out[readings.ends[1]]
         for end in readings.ends:
-            member.append(end[first:])
-            square.append(np.minimum(readings.residual[first:] ** 2, CLIP))
+            member.append(end[use])
+            square.append(np.minimum(readings.residual[use] ** 2, CLIP))
     owner, squares = np.concatenate(member), np.concatenate(square)
     keyframe = int(np.floor(since * KEYFRAMES_PER_SECOND))
     found = []
@@ -165,5 +201,5 @@ def _rejected(window: Window, poses: Array, g: float, tail: float) -> list[Suspe
         mine = np.sort(squares[owner == k])
         kept = int(np.ceil(len(mine) * (1 - OUTLIERS)))
         if kept >= FEWEST:
-            found.append(Suspect(key, keyframe, float(mine[:kept].sum()) / chi2_limit(kept, tail)))
+            found.append((Suspect(key, keyframe, float(mine[:kept].sum()), False), kept))
     return found

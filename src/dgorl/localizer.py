@@ -67,7 +67,9 @@ class Team:
         return View(self.history, state, robot, now).estimate()
 
     def _carried_on(self, node: Node, low: float, now: float) -> TeamNow:
-        clusters = [ClusterNow(tuple(hypotheses_now(self.history, c, now)), c.motion) for c in node.clusters]
+        clusters = [
+            ClusterNow(tuple(hypotheses_now(self.history, c, now)), c.motion, c.named, c.sure) for c in node.clusters
+        ]
         return TeamNow(
             tuple(self._joined(node.components, node, low, now)),
             tuple(cluster for cluster in clusters if cluster.hypotheses),

@@ -20,11 +20,12 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Settled:
-    """A component at a node, and the window whose optimum ``poses`` (N, 3) it comes from."""
+    """A component at a node, and the window whose optimum ``poses`` (N, 3), at that cost, it comes from."""
 
     component: Component
     window: Window
     poses: Array
+    cost: float
 
 
 def settled(history: History, component: Component, low: float, g: float, boundary: float) -> Settled:
@@ -38,7 +39,7 @@ def settled(history: History, component: Component, low: float, g: float, bounda
     priors = component.priors
     if pin is not None and pin > window.base:
         priors = marginalized(window, solution.poses, pin)
-    return Settled(Component(stretches(window, solution.poses, pin), priors), window, solution.poses)
+    return Settled(Component(stretches(window, solution.poses, pin), priors), window, solution.poses, solution.cost)
 
 
 def without(history: History, component: Component, robot: TrackKey, low: float, keyframe: int) -> Component:

@@ -7,7 +7,7 @@ their stamp on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, floor, inf
 
@@ -146,19 +146,46 @@ class Memo:
             tracks = {track.key: track for track in self._history.tracks}
             component = retried(Step(self._history, tracks, g, since), component)
         done = settled(self._history, component, low, g, boundary)
-        seen = next(iter(suspects(self._history, done.window, done.poses, g)), None)
-        if seen is None:
+        found = suspects(done.window, done.poses, g, before)
+        if not found:
             return done.component, None, None
-        if seen.key in before:
-            seen = replace(seen, nodes=before[seen.key].nodes + 1)
+        seen = self._blamed(component, found, done.window.base, low, g, boundary)
+        seen = seen.after(before.get(seen.key))
+        seen = replace(seen, since=max(seen.since, done.window.base + 1))  # the others need a pose before it
         try:
-            return done.component, seen, self._without(component, seen, low, g, boundary)
+            rest, _ = self._without(component, seen.key, seen.since, low, g, boundary)
         except ValueError:  # without it the others are not determined
             return done.component, seen, None
+        return done.component, seen, rest
 
-    def _without(self, component: Component, seen: Suspect, low: float, g: float, boundary: float) -> Component:
+    def _blamed(
+        self, component: Component, found: Sequence[Suspect], base: int, low: float, g: float, boundary: float
+    ) -> Suspect:
+        """Whose removal lowers the team's sum most: those a robot lies to fit badly too."""
+        since = max(min(seen.since for seen in found), base + 1)
+        known = {seen.key: seen for seen in found}
+        left = {}
+        for key in component.tracks:
+            try:
+                left[key] = self._without(component, key, since, low, g, boundary)[1]
+            except ValueError:
+                continue
+        least = min(left.values(), default=inf)
+        if len(component.stretches) < 3 or least == inf:
+            return found[0]
+        worst = min((key for key in left if left[key] <= least), key=lambda key: key not in known)
+        return known.get(worst, Suspect(worst, since, found[0].excess, False))
+
+    def _without(
+        self, component: Component, gone: TrackKey, since: int, low: float, g: float, boundary: float
+    ) -> tuple[Component, float]:
+        """The component's other members at g as they are without one since a keyframe; how badly they fit one another.
+
+        That is −2 log of the likelihood of their readings since then, beyond one for each.
+        """
         tracks = {track.key: track for track in self._history.tracks}
-        rest = extended(without(self._history, component, seen.key, low, seen.since), tracks, g)
+        rest = extended(without(self._history, component, gone, low, since), tracks, g)
         if len(rest.stretches) < 2:
-            return rest
-        return settled(self._history, rest, seen.since / KEYFRAMES_PER_SECOND, g, boundary).component
+            return rest, 0.0
+        done = settled(self._history, rest, since / KEYFRAMES_PER_SECOND, g, boundary)
+        return done.component, 2 * done.cost - sum(len(scalars.value) for scalars in done.window.problem.scalars)

@@ -50,6 +50,12 @@ def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:
     return "several places fit" if len(places) > 1 else "one place fits, not yet for long enough to be sure"
 
 
+def inconsistent(robot: str) -> tuple[str, str]:
+    """What is said of a robot that does not fit, and what would help."""
+    reason = f"inconsistent: {robot} does not move as its odometry says, or its readings are wrong"
+    return reason, f"wait: {robot} is located anew if this goes on"
+
+
 def advice(history: History, own: Track, peer: Track, pose: Array, covariance: Array, now: float, mirror: bool) -> str:
     """The motion that would tell most of a peer's pose (3,), known with covariance (3, 3) in the ego's frame."""
     configuration = history.configuration

@@ -18,7 +18,7 @@ from dgorl.history import WORLD_KEY, History
 from dgorl.measurements import WORLD
 from dgorl.places import places_of
 from dgorl.se2 import Array
-from dgorl.status import advice, ambiguous_reason, joined_status
+from dgorl.status import advice, ambiguous_reason, inconsistent, joined_status
 from dgorl.team_state import TeamState
 from dgorl.tracks import Track, TrackKey
 
@@ -35,6 +35,10 @@ class ClusterNow:
 
     hypotheses: tuple[Weighed, ...]
     motion: Motion
+    unfit: frozenset[TrackKey] = frozenset()
+    """tracks that no hypothesis explains"""
+    sure: Sequence[tuple[TrackKey, TrackKey]] = ()
+    """pairs that are located though not joined"""
 
 
 @dataclass(frozen=True)
@@ -105,8 +109,14 @@ class View:
         places = places_of(track.key, self._possible)
         if places:
             best, motion = places[0], self._cluster.motion if self._cluster is not None else ""
-            reason = ambiguous_reason(places, motion)
-            help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, motion == "straight")
+            if self._cluster is not None and any({self._own.key, track.key} == set(p) for p in self._cluster.sure):
+                return self._located(self._own, track, best.pose, best.covariance, age)
+            unfit = self._named(track, self._cluster.unfit if self._cluster is not None else frozenset())
+            if unfit is not None:
+                reason, help_ = inconsistent(unfit)
+            else:
+                reason, straight = ambiguous_reason(places, motion), motion == "straight"
+                help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, straight)
             return PeerEstimate(
                 best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, help_, places
             )
@@ -117,16 +127,22 @@ class View:
 
     def _joined(self, own: Track, track: Track, age: float) -> PeerEstimate:
         pose, covariance = self._relative[track.key]
-        status, reason = joined_status(self._robot, pose, covariance, self._history.configuration)
-        suspect = next((key.robot for key in (track.key, own.key) if key in self._team.suspects), None)
+        suspect = self._named(track, self._team.suspects)
         if suspect is not None:
-            reason = f"inconsistent: {suspect} does not move as its odometry says, or its readings are wrong"
-            help_ = f"wait: {suspect} is located anew if this goes on"
+            reason, help_ = inconsistent(suspect)
             return PeerEstimate(pose, covariance, Status.UNOBSERVABLE, 1.0, age, reason, help_)
+        return self._located(own, track, pose, covariance, age)
+
+    def _located(self, own: Track, track: Track, pose: Array, covariance: Array, age: float) -> PeerEstimate:
+        status, reason = joined_status(self._robot, pose, covariance, self._history.configuration)
         if status is Status.TRACKED:
             return PeerEstimate(pose, covariance, status, 1.0, age)
         help_ = advice(self._history, own, track, pose, covariance, self._now, False)
         return PeerEstimate(pose, covariance, status, 1.0, age, reason, help_)
+
+    def _named(self, track: Track, keys: frozenset[TrackKey]) -> str | None:
+        """Which of a peer and the robot itself is among these."""
+        return next((t.key.robot for t in (track, self._own) if t is not None and t.key in keys), None)
 
     @cached_property
     def _in_contact(self) -> tuple[tuple[TrackKey, ...], ...]:

@@ -9,6 +9,7 @@ from math import floor, inf
 import numpy as np
 
 from dgorl import _core
+from dgorl.consistency import unfit
 from dgorl.expansion import drafts
 from dgorl.expansion.carry import carried
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
@@ -184,7 +185,9 @@ def _cluster(
             and settled_pair(optima, a, b)
         ):
             agreed[keys[a], keys[b]] = 1 + (0 if before is None else before.agreed.get((keys[a], keys[b]), 0))
-    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, _motion(step, graph, optima.poses[0]))
+    known = {} if before is None else before.unfit
+    misfits = {key: 1 + known.get(key, 0) for key in sorted(unfit(graph.window, optima.poses[0], step.g))}
+    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, _motion(step, graph, optima.poses[0]), misfits)
 
 
 def _mass(step: Step, groups: Sequence[Group], recent: Component) -> float:

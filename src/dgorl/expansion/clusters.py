@@ -21,9 +21,6 @@ from dgorl.window import Component, Prior
 ENOUGH = 4
 """Readings between two components from which on they are expanded."""
 
-NODES = 2
-"""Nodes in a row at which a relative pose has to be certain to be accepted."""
-
 
 def advance(
     history: History,
@@ -36,10 +33,12 @@ def advance(
     """Components and clusters at node g [s]: components joined where two nodes agree, hypotheses about the others.
 
     previous: the clusters of the node before. since: from when on tracks count that were cut off [s]. boundary: where
-    the next node's window starts [s].
+    the next node's window starts [s]. Those are located, but not joined for one ``history``: they must not
+    bend the others.
     """
     if len(components) < 2:
         return list(components), []
+    doubted = {key for key, stamp in since.items() if g - stamp < history.configuration.history}
     members = {key: k for k, component in enumerate(components) for key in component.tracks}
     step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g, since)
     kept, clusters = list(range(len(components))), []
@@ -53,7 +52,7 @@ def advance(
             cluster = expanded(step, before, mine, first)
         except ValueError:  # the graph leaves a pose undetermined: nothing can be said of these
             continue
-        again = [pair for pair, count in sorted(cluster.agreed.items()) if count >= NODES]
+        again = [pair for pair in cluster.sure if not doubted & set(pair)]
         left = set(linked)
         for group in groups_of(again, members):
             try:

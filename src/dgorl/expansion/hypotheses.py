@@ -30,6 +30,9 @@ COARSE = 30.0
 BEARING, NEAR = 0.25, 5.0
 """Position σ up to which a place counts as one, as a share of the distance, taken to be at least that far [m]."""
 
+NODES = 2
+"""Nodes in a row at which a relative pose has to be certain to be accepted, and a track has not fitted to be named."""
+
 CERTAIN = 0.999
 """Probability at which a relative pose is accepted, at two nodes in a row."""
 
@@ -67,10 +70,24 @@ class Cluster:
     agreed: Mapping[tuple[TrackKey, TrackKey], int] = field(default_factory=dict)
     motion: Motion = ""
     """what all tracks have in common that leaves them ambiguous"""
+    unfit: Mapping[TrackKey, int] = field(default_factory=dict)
+    """tracks that do not fit the best hypothesis, and for how many nodes in a row: nobody is joined to them"""
 
     @property
     def tracks(self) -> frozenset[TrackKey]:
         return frozenset(self.hypotheses[0].component.tracks)
+
+    @property
+    def sure(self) -> list[tuple[TrackKey, TrackKey]]:
+        """Pairs whose relative pose is accepted."""
+        fit = self.tracks - self.unfit.keys()
+        return [pair for pair, nodes in sorted(self.agreed.items()) if nodes >= NODES and fit.issuperset(pair)]
+
+    @property
+    def named(self) -> frozenset[TrackKey]:
+        """Tracks known not to fit, as the others fit one another without them."""
+        fit = self.tracks - self.unfit.keys()
+        return frozenset(key for key, nodes in self.unfit.items() if nodes >= NODES and len(fit) > 1)
 
 
 def distinct(optima: Optima, limit: int = BEAM, alive: float = ALIVE) -> Optima:
