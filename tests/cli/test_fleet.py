@@ -12,10 +12,14 @@ import pytest
 
 from dgorl import logs
 from dgorl.measurements import known_at
-from dgorl.team.journal_data import parse
+from dgorl.team.journal_data import held, parse
+from dgorl.team.journal_read import contents
 from tests.recordings import ROOT, recording
 
 from .commandline import Dgorl, fails_well
+
+PARTED = (("r1", "r2"), ("r4", "r3"), ("r1", "r4"), ("r3", "r2"))
+"""Two pairs of robots of one side, two of robots of both."""
 
 
 def table(folder: Path, ego: str, peer: str) -> list[dict[str, str]]:
@@ -78,6 +82,36 @@ def test_on_a_bad_network_with_a_power_cut_and_a_latecomer(dgorl: Dgorl, log: Pa
     assert float(table(tmp_path, "r3", "r1")[0]["t"]) >= 2.0
     held = parse(table(tmp_path, "r2", "r1")[-1]["data"])
     assert [robot for robot, _ in held].count("r2") == 1  # the epoch went on
+
+
+def test_both_sides_of_a_partition_go_on_and_meet_again(dgorl: Dgorl, tmp_path: Path) -> None:
+    team = ("--simulate", "--simulation.robots", 4, "--simulation.steps", 50, "--simulation.area", 20)
+    words = (*team, "--simulation.sensors", "range", "--initial", "known", "--partition", "r1,r2|r3,r4:5-15")
+    summary, _ = run(dgorl, *words, "--rate", 4, "--out", tmp_path)
+    assert summary["checks"] == {"robots": ["r1", "r2", "r3", "r4"], "equal_data": True, "equal_estimates": True}
+    apart = {pair: [row for row in table(tmp_path, *pair) if 7.0 <= float(row["t"]) < 15.0] for pair in PARTED}
+    for (ego, peer), rows in apart.items():
+        ages = [float(row["age"]) for row in rows]
+        if (ego, peer) in PARTED[:2]:
+            assert {row["status"] for row in rows} <= {"position", "tracked"}
+            assert max(ages) < 2.0
+        else:
+            assert max(ages) > 7.0
+    healed = [row for row in table(tmp_path, "r1", "r4") if float(row["t"]) >= 20.0]
+    assert max(float(row["age"]) for row in healed) < 2.0
+
+
+def test_no_bundle_is_lost_or_renamed_when_every_agent_is_killed(dgorl: Dgorl, log: Path, tmp_path: Path) -> None:
+    lives = [(f"r{k % 3 + 1}", 1.13 + 1.31 * k) for k in range(6)]
+    events = [word for robot, t in lives for word in ("--kill", f"{robot}@{t:.2f}", "--join", f"{robot}@{t + 0.7:.2f}")]
+    summary, _ = run(dgorl, log, "--rate", 2, *events, "--out", tmp_path)
+    assert summary["checks"] == {"robots": ["r1", "r2", "r3"], "equal_data": True, "equal_estimates": True}
+    journals = [contents(tmp_path / "live" / f"{robot}.journal") for robot in ("r1", "r2", "r3")]
+    assert all(journal.bundles == journals[0].bundles for journal in journals)  # contents, too
+    assert [len(journal.stories) for journal in journals] == [3, 3, 3]
+    numbers = held(journals[0].bundles)
+    assert [robot for robot, _ in sorted(numbers)] == ["r1", "r2", "r3"]  # every epoch went on
+    assert all(len(sequence) == 1 and sequence.low == 0 for sequence in numbers.values())
 
 
 @pytest.mark.slow

@@ -101,6 +101,18 @@ class Options:
 
 def main(options: Options) -> None:
     """Run the team, write what it estimated, print the table and the checks."""
+    fleet = fleet_of(options)
+    output.prepare(options.out)
+    errors = Console(stderr=True, highlight=False)
+    if errors.is_terminal:
+        errors.print(f"{len(fleet.log.robots)} agents, {(fleet.last - fleet.first) / fleet.rate:.0f} s", markup=False)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # no agent stays behind
+    run(fleet)
+    _report(options, fleet, errors)
+
+
+def fleet_of(options: Options) -> Fleet:
+    """The team that is to run. Raises DgorlError."""
     log = _log(options)
     changes = {n: getattr(options, n) for n in ("history", "candidates", "period", "seed")}
     changes = {name: value for name, value in changes.items() if value is not None}
@@ -109,7 +121,6 @@ def main(options: Options) -> None:
     if options.clock_offset or options.clock_drift:
         changes["clock"] = "estimated"
     configuration = Session(log, options.config, changes, options.initial, (), options.out).configuration()
-    output.prepare(options.out)
     fleet = Fleet(
         log,
         configuration,
@@ -125,12 +136,7 @@ def main(options: Options) -> None:
         # Who comes late may have moved: the start pose is not known to hold for it.
         starts = {prior.robot: log.starts[prior.robot] for prior in known_starts(log)}
         fleet = dataclasses.replace(fleet, starts={r: start for r, start in starts.items() if not fleet.late(r)})
-    errors = Console(stderr=True, highlight=False)
-    if errors.is_terminal:
-        errors.print(f"{len(log.robots)} agents, {(fleet.last - fleet.first) / fleet.rate:.0f} s", markup=False)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # no agent stays behind
-    run(fleet)
-    _report(options, fleet, errors)
+    return fleet
 
 
 def _report(options: Options, fleet: Fleet, errors: Console) -> None:

@@ -64,6 +64,10 @@ class AgentProcess:
         except subprocess.TimeoutExpired:
             return False
 
+    def leave(self) -> None:
+        """Tell it to leave in good order."""
+        self._process.terminate()
+
     def kill(self) -> None:
         """As a power cut would."""
         if self._process.poll() is None:

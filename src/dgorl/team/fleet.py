@@ -119,7 +119,7 @@ class Fleet:
 
 def run(fleet: Fleet) -> None:
     """Run it to its end; what it leaves are journals, reports and logs in its folder. Raises DgorlError."""
-    due = _in_order(fleet)
+    due = in_order(fleet)
     prepare(fleet)
     lives = {
         robot: [
@@ -135,7 +135,7 @@ def run(fleet: Fleet) -> None:
         at = time.monotonic() + LEAD[0] + LEAD[1] * len(lives)
         awake = {robot: life.pop(0).begin(at) for robot, life in lives.items() if not fleet.late(robot)}
         for stamp, what in due:
-            _wait(stamp, fleet, at)
+            wait(stamp, fleet, at)
             if not isinstance(what, Event):
                 robot, line = what
                 if robot in awake:
@@ -181,7 +181,7 @@ def prepare(fleet: Fleet) -> None:
 Due = Event | tuple[str, bytes]
 
 
-def _in_order(fleet: Fleet) -> list[tuple[float, Due]]:
+def in_order(fleet: Fleet) -> list[tuple[float, Due]]:
     """Events, and each robot's lines at the time they are known [s of the log]."""
     due: list[tuple[float, int, Due]] = [(event.stamp, 0, event) for event in fleet.events]
     epochs: dict[str, int] = {}
@@ -209,7 +209,8 @@ def _on_clock(measurement: Measurement, pace: Pace) -> Measurement:
     return replace(measurement, **stamps)
 
 
-def _wait(stamp: float, fleet: Fleet, at: float) -> None:
+def wait(stamp: float, fleet: Fleet, at: float) -> None:
+    """Until the log is at ``stamp`` [s]; it began when the monotonic clock was at ``at`` [s]."""
     remaining = at + (stamp - fleet.first) / fleet.rate - time.monotonic()
     if remaining > 0.0:
         time.sleep(remaining)
