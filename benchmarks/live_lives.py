@@ -10,7 +10,7 @@ from math import inf
 from pathlib import Path
 
 import msgspec
-from live_fleet import Place, Row, simulated
+from live_fleet import ROOT, Place, Row, beginning
 
 from dgorl import logs
 from dgorl.configuration import Configuration, merge
@@ -47,11 +47,11 @@ LIVES = (
     Life("", "r2", end=70.0, offset=2.0),
     Life("without its journal", "r2", start=75.0, forgets=True, offset=2.0),
     Life("", "r3", end=100.0, offset=-3.0),
-    Life("clock set back by 7.3 s", "r3", start=105.0, offset=-10.3),
+    Life("clock set back by 10.3 s", "r3", start=105.0, offset=-13.3),
     Life("", "r4", end=40.0, leaves=True, offset=1.3),
     Life("back after leaving", "r4", start=50.0, offset=1.3),
-    Life("late", "r5", start=20.0, end=125.0, offset=4.1),
-    Life("clock set ahead by 3 s", "r5", start=128.0, offset=7.1),
+    Life("late", "r5", start=20.0, end=135.0, offset=4.1),
+    Life("clock set ahead by 3 s", "r5", start=138.0, offset=7.1),
 )
 """r1 alone is there all the time."""
 
@@ -83,7 +83,8 @@ class Story:
 def churned(folder: Path, log: Path, rate: float) -> Story:
     """Run these lives over a log, every robot on a clock of its own."""
     recording = logs.read(log)
-    configuration = replace(merge(Configuration(), recording.configuration, "log"), clock="estimated")
+    configuration = merge(merge(Configuration(), recording.configuration, "log"), read_settings(CONFIG), str(CONFIG))
+    configuration = replace(configuration, clock="estimated")
     fleet = Fleet(recording, configuration, folder, rate=rate)
     _run(fleet)
     said = [_reports(fleet, number, life) for number, life in enumerate(LIVES)]
@@ -102,7 +103,8 @@ def churned(folder: Path, log: Path, rate: float) -> Story:
 
 
 def _held(fleet: Fleet, robot: str) -> dict[tuple[str, int], Ranges]:
-    return held(contents(fleet.journal(robot)).bundles)
+    """Of the bundles with measurements: what is told of clocks in the end, somebody may have left too early to hear."""
+    return held(name for name, bundle in contents(fleet.journal(robot)).bundles.items() if bundle.measurements)
 
 
 def _run(fleet: Fleet) -> None:
@@ -181,7 +183,8 @@ def _from(start: float, said: list[tuple[float, Report]], peers: set[str]) -> fl
 def churn(place: Place) -> Iterator[Row]:
     """Late, gone, back with another clock or without a journal."""
     folder = place.folder("churn")
-    story = churned(folder / "fleet", simulated(folder / "log", 150.0), rate=3.0)
+    recording = beginning(folder / "log", place.data / "mrclam6", 190.0)
+    story = churned(folder / "fleet", recording, rate=1.0)
     yield Row(
         "join late, leave, come back with a new clock or without a journal: picked up, nobody else restarted",
         story.told(),

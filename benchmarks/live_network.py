@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from math import inf
+from multiprocessing import get_context
 from pathlib import Path
 from random import Random
 
 import numpy as np
 from live_fleet import ROOT, Left, Place, Row, apart, beginning, located, ran, replayed, simulated
 
-from dgorl.configuration import Configuration
 from dgorl.evaluation.metrics import figures
 from dgorl.evaluation.records import LOCATED
-from dgorl.measurements import RelativePose
 from dgorl.replay import start_priors
+from dgorl.team.fleet import Fleet
 from dgorl.team.journal_data import recompute
 from dgorl.team.journal_read import Contents, contents
 from dgorl.team.report import Peer, peers_of
@@ -148,11 +147,8 @@ def recomputed(place: Place) -> Iterator[Row]:
     said = [report for reports in left.reports.values() for report in reports]
     chosen = rng.sample(said, min(20 if place.short else 200, len(said)))
     journals = [contents(fleet.journal(robot)) for robot in fleet.log.robots]
-    starts = start_priors(fleet.starts)
-    with ProcessPoolExecutor(2) as pool:
-        words = (journals, fleet.configuration, starts)
-        futures = [pool.submit(_again, report.data, report.stamp, report.robot, *words) for report in chosen]
-        made = [future.result() for future in futures]
+    with get_context("fork").Pool(2, _give, (journals, fleet)) as pool:
+        made = pool.starmap(_again, [(report.data, report.stamp, report.robot) for report in chosen], chunksize=1)
     rows = [(r.peers.get(p), m.get(p)) for r, m in zip(chosen, made, strict=True) for p in {*r.peers, *m}]
     seen = [(a, b) for a, b in rows if a is not None and a.status in LOCATED]
     off = max(np.abs(np.subtract(a.pose, b.pose)).max() if b and b.pose else inf for a, b in seen)
@@ -165,12 +161,14 @@ def recomputed(place: Place) -> Iterator[Row]:
     )
 
 
-def _again(
-    data: str,
-    stamp: float,
-    robot: str,
-    journals: list[Contents],
-    configuration: Configuration,
-    starts: list[RelativePose],
-) -> dict[str, Peer]:
-    return peers_of(recompute(journals, data, stamp, robot, configuration, starts))
+_given: list[tuple[list[Contents], Fleet]] = []
+"""What a process that recomputes was born with: journals do not travel well."""
+
+
+def _give(journals: list[Contents], fleet: Fleet) -> None:
+    _given.append((journals, fleet))
+
+
+def _again(data: str, stamp: float, robot: str) -> dict[str, Peer]:
+    journals, fleet = _given[-1]
+    return peers_of(recompute(journals, data, stamp, robot, fleet.configuration, start_priors(fleet.starts)))
