@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
@@ -13,7 +13,7 @@ import msgspec
 from live_fleet import ROOT, Place, Row, beginning
 
 from dgorl import logs
-from dgorl.configuration import Configuration, merge
+from dgorl.configuration import Configuration, load, merge
 from dgorl.evaluation.records import LOCATED
 from dgorl.team.agent_process import AgentProcess
 from dgorl.team.fleet import LEAD, PATIENCE, Event, Fleet, in_order, prepare, wait
@@ -22,13 +22,15 @@ from dgorl.team.journal_read import contents
 from dgorl.team.ranges import Ranges
 from dgorl.team.report import Report, read_report
 
+CONFIG = ROOT / "configs" / "mrclam.yaml"
+
 FRESH = 1.5
 """What is known of a peer that is picked up is not older [s]."""
 
 
 @dataclass(frozen=True)
 class Life:
-    """A robot's program from start to end [s of the log].
+    """A robot's program from start to end [s from the log's beginning].
 
     leaves: in good order; else it is killed. offset: of its clock [s]. forgets: its journal is gone when it begins.
     """
@@ -44,14 +46,14 @@ class Life:
 
 LIVES = (
     Life("", "r1"),
-    Life("", "r2", end=70.0, offset=2.0),
-    Life("without its journal", "r2", start=75.0, forgets=True, offset=2.0),
-    Life("", "r3", end=100.0, offset=-3.0),
-    Life("clock set back by 10.3 s", "r3", start=105.0, offset=-13.3),
-    Life("", "r4", end=40.0, leaves=True, offset=1.3),
-    Life("back after leaving", "r4", start=50.0, offset=1.3),
-    Life("late", "r5", start=20.0, end=135.0, offset=4.1),
-    Life("clock set ahead by 3 s", "r5", start=138.0, offset=7.1),
+    Life("", "r2", end=110.0, offset=2.0),
+    Life("without its journal", "r2", start=115.0, forgets=True, offset=2.0),
+    Life("", "r3", end=160.0, offset=-3.0),
+    Life("clock set back by 10.3 s", "r3", start=165.0, offset=-13.3),
+    Life("", "r4", end=70.0, leaves=True, offset=1.3),
+    Life("back after leaving", "r4", start=80.0, offset=1.3),
+    Life("late", "r5", start=40.0, end=210.0, offset=4.1),
+    Life("clock set ahead by 3 s", "r5", start=213.0, offset=7.1),
 )
 """r1 alone is there all the time."""
 
@@ -69,7 +71,7 @@ class Story:
 
     @property
     def good(self) -> bool:
-        return self.equal and all(max(theirs, own) < inf for _, theirs, own in self.pickups)
+        return self.equal and bool(self.pickups) and all(max(theirs, own) < inf for _, theirs, own in self.pickups)
 
     def told(self) -> str:
         said = (f"{what}: {theirs:.1f} / {own:.1f} s" for what, theirs, own in self.pickups)
@@ -83,16 +85,16 @@ class Story:
 def churned(folder: Path, log: Path, rate: float) -> Story:
     """Run these lives over a log, every robot on a clock of its own."""
     recording = logs.read(log)
-    configuration = merge(merge(Configuration(), recording.configuration, "log"), read_settings(CONFIG), str(CONFIG))
-    configuration = replace(configuration, clock="estimated")
+    configuration = merge(Configuration(), {**load(CONFIG), "clock": "estimated"}, str(CONFIG))
     fleet = Fleet(recording, configuration, folder, rate=rate)
-    _run(fleet)
-    said = [_reports(fleet, number, life) for number, life in enumerate(LIVES)]
-    last = {life.robot: number for number, life in enumerate(LIVES)}
+    lives = [replace(life, start=fleet.first + life.start, end=fleet.first + life.end) for life in LIVES]
+    _run(fleet, lives)
+    said = [_reports(fleet, number, life) for number, life in enumerate(lives)]
+    last = {life.robot: number for number, life in enumerate(lives)}
     pickups = []
-    for number, life in enumerate(LIVES):
+    for number, life in enumerate(lives):
         if life.start > fleet.first:
-            there = [other.robot != life.robot and other.end > life.start for other in LIVES]
+            there = [other.robot != life.robot and other.start <= life.start < other.end for other in lives]
             others = [seen for seen, is_there in zip(said, there, strict=True) if is_there]
             theirs = max(_from(life.start, seen, {life.robot}) for seen in others)
             own = _from(life.start, said[number], {other for other in last if other != life.robot})
@@ -107,16 +109,18 @@ def _held(fleet: Fleet, robot: str) -> dict[tuple[str, int], Ranges]:
     return held(name for name, bundle in contents(fleet.journal(robot)).bundles.items() if bundle.measurements)
 
 
-def _run(fleet: Fleet) -> None:
+def _run(fleet: Fleet, lives: Sequence[Life]) -> None:
     """Every life's program waits from the beginning until its time has come."""
     prepare(fleet)
     processes = [
-        AgentProcess(_on_its_clock(fleet, life).command(life.robot), _said(fleet, number), fleet.messages(life.robot))
-        for number, life in enumerate(LIVES)
+        AgentProcess(
+            _on_its_clock(fleet, life).command(life.robot), _said(fleet, number, life), fleet.messages(life.robot)
+        )
+        for number, life in enumerate(lives)
     ]
-    due = [(stamp, 1, number, line) for number, life in enumerate(LIVES) for stamp, line in _lines(fleet, life)]
-    due += [(life.start, 0, number, None) for number, life in enumerate(LIVES)]
-    due += [(life.end, 0, number, None) for number, life in enumerate(LIVES) if life.end < inf]
+    due = [(stamp, 1, number, line) for number, life in enumerate(lives) for stamp, line in _lines(fleet, life)]
+    due += [(life.start, 0, number, None) for number, life in enumerate(lives)]
+    due += [(life.end, 0, number, None) for number, life in enumerate(lives) if life.end < inf]
     due.sort(key=lambda item: item[:2])
     begun: set[int] = set()
     try:
@@ -125,7 +129,7 @@ def _run(fleet: Fleet) -> None:
         at = time.monotonic() + LEAD[0] + LEAD[1] * len(processes)
         for stamp, _, number, line in due:
             wait(stamp, fleet, at)
-            life, process = LIVES[number], processes[number]
+            life, process = lives[number], processes[number]
             if line is not None:
                 process.say(line)
             elif number not in begun:
@@ -140,7 +144,7 @@ def _run(fleet: Fleet) -> None:
         deadline = at + (fleet.last + fleet.quiet - fleet.first) / fleet.rate + PATIENCE
         for number, process in enumerate(processes):
             process.no_more()
-            assert LIVES[number].end < inf or process.leaves(deadline)
+            assert lives[number].end < inf or process.leaves(deadline)
     finally:
         for process in processes:
             process.kill()
@@ -157,14 +161,14 @@ def _lines(fleet: Fleet, life: Life) -> list[tuple[float, bytes]]:
     return [(stamp, line) for stamp, (robot, line) in said if robot == life.robot]
 
 
-def _said(fleet: Fleet, number: int) -> Path:
-    return fleet.folder / f"{number}-{LIVES[number].robot}.jsonl"
+def _said(fleet: Fleet, number: int, life: Life) -> Path:
+    return fleet.folder / f"{number}-{life.robot}.jsonl"
 
 
 def _reports(fleet: Fleet, number: int, life: Life) -> list[tuple[float, Report]]:
     """Its reports and their time [s of the log]; a line torn by a kill is left out."""
     pace, reports = _on_its_clock(fleet, life).pace(life.robot), []
-    for line in _said(fleet, number).read_bytes().splitlines():
+    for line in _said(fleet, number, life).read_bytes().splitlines():
         with suppress(msgspec.MsgspecError):
             report = read_report(line)
             reports.append((pace.to_recording(report.stamp), report))
@@ -183,8 +187,8 @@ def _from(start: float, said: list[tuple[float, Report]], peers: set[str]) -> fl
 def churn(place: Place) -> Iterator[Row]:
     """Late, gone, back with another clock or without a journal."""
     folder = place.folder("churn")
-    recording = beginning(folder / "log", place.data / "mrclam6", 190.0)
-    story = churned(folder / "fleet", recording, rate=1.0)
+    recording = beginning(folder / "log", place.data / "mrclam6", 260.0)
+    story = churned(folder / "fleet", recording, rate=2.0)
     yield Row(
         "join late, leave, come back with a new clock or without a journal: picked up, nobody else restarted",
         story.told(),
