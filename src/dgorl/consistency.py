@@ -7,7 +7,7 @@ covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its reading
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import NamedTuple
@@ -87,16 +87,27 @@ def suspects(window: Window, poses: Array, g: float, before: Mapping[TrackKey, S
     return sorted(worst.values(), key=lambda s: (-s.excess, s.key))
 
 
-def unfit(window: Window, poses: Array, g: float) -> frozenset[TrackKey]:
-    """Members whose readings of the last 5 s no pose of theirs explains, one after another, without those before it."""
+def unfit(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKey, ...]]) -> frozenset[TrackKey]:
+    """Members of the bodies that no place of theirs explains, one body after another, without those before it.
+
+    bodies: the members of each component, in itself settled: readings of the last 5 s between them count. Of two that
+    do not fit one another, it is the smaller one.
+    """
+    body = np.array([next(k for k, keys in enumerate(bodies) if key in keys) for key in window.layout])
+    i, j, square = _squares(window, poses, g)
+    i, j = body[i], body[j]
+    between = i != j
+    tail = TAIL / len(bodies)
     gone: frozenset[TrackKey] = frozenset()
-    tail = TAIL / len(window.layout)
     while True:
-        found = [(s.excess / chi2_limit(dof, tail), s.key) for s, dof in _rejected(window, poses, g, gone)]
-        excess, key = max(found, default=(0.0, None))
-        if key is None or excess <= 1.0:
+        i, j, square = i[between], j[between], square[between]
+        sums = [(k, _without_worst(square[(i == k) | (j == k)])) for k in range(len(bodies))]
+        excess = {k: total / chi2_limit(kept, tail) for k, (total, kept) in sums if kept >= FEWEST}
+        worst = max(excess, key=lambda k: (excess[k], -len(bodies[k]), bodies[k]), default=None)
+        if worst is None or excess[worst] <= 1.0:
             return gone
-        gone |= {key}
+        gone |= set(bodies[worst])
+        between = (i != worst) & (j != worst)
 
 
 class _Readings(NamedTuple):
@@ -179,27 +190,31 @@ def _drop(u: Array, q: Array, c: Array) -> Array:
     return np.asarray(np.sum(np.where(values > NEAR_RANK, part**2 / np.maximum(values, NEAR_RANK), 0.0), axis=1))
 
 
-def _rejected(
-    window: Window, poses: Array, g: float, gone: frozenset[TrackKey] = frozenset()
-) -> list[tuple[Suspect, int]]:
-    """Every member's sum of clipped squared residuals of the last 5 s without its worst third, and of how many.
-
-    gone: members that are left out with all their readings.
-    """
-    since = g - INTERVALS[0]
-    member, square = [np.zeros(0, np.int64)], [np.zeros(0)]
-    out = np.array([key in gone for key in window.layout], dtype=bool)
-    for readings in _readings(window, poses):
-        use = (readings.stamp > since) & ~out[readings.ends[0]] & ~out[readings.ends[1]]
-        for end in readings.ends:
-            member.append(end[use])
-            square.append(np.minimum(readings.residual[use] ** 2, CLIP))
-    owner, squares = np.concatenate(member), np.concatenate(square)
-    keyframe = int(np.floor(since * KEYFRAMES_PER_SECOND))
+def _rejected(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]]:
+    """Every member's sum of clipped squared residuals of the last 5 s without its worst third, and of how many."""
+    i, j, square = _squares(window, poses, g)
+    keyframe = int(np.floor((g - INTERVALS[0]) * KEYFRAMES_PER_SECOND))
     found = []
     for k, key in enumerate(window.layout):
-        mine = np.sort(squares[owner == k])
-        kept = int(np.ceil(len(mine) * (1 - OUTLIERS)))
+        total, kept = _without_worst(np.concatenate([square[i == k], square[j == k]]))
         if kept >= FEWEST:
-            found.append((Suspect(key, keyframe, float(mine[:kept].sum()), False), kept))
+            found.append((Suspect(key, keyframe, total, False), kept))
     return found
+
+
+def _squares(window: Window, poses: Array, g: float) -> tuple[Indices, Indices, Array]:
+    """Both members' numbers and the clipped squared residual of every reading of the last 5 s."""
+    ends: tuple[list[Indices], list[Indices]] = ([np.zeros(0, np.int64)], [np.zeros(0, np.int64)])
+    square = [np.zeros(0)]
+    for readings in _readings(window, poses):
+        first = int(np.searchsorted(readings.stamp, g - INTERVALS[0], "right"))
+        for column, end in zip(ends, readings.ends, strict=True):
+            column.append(end[first:])
+        square.append(np.minimum(readings.residual[first:] ** 2, CLIP))
+    return np.concatenate(ends[0]), np.concatenate(ends[1]), np.concatenate(square)
+
+
+def _without_worst(square: Array) -> tuple[float, int]:
+    """The sum without the worst third, and of how many it is."""
+    kept = int(np.ceil(len(square) * (1 - OUTLIERS)))
+    return float(np.sort(square)[:kept].sum()), kept

@@ -15,6 +15,9 @@ from dgorl.team import fleet as fleets
 from dgorl.team.agent_process import AgentProcess
 from dgorl.team.fleet import Fleet
 
+BEGINNING = frozenset({"epoch not live"})
+"""What is rejected without anybody's fault: relays by a robot that is not admitted itself yet."""
+
 
 def simulated(folder: Path, seconds: float, settle: float, rate: float = 1.0) -> Fleet:
     """Three robots with known starts."""

@@ -186,7 +186,7 @@ def _cluster(
         ):
             agreed[keys[a], keys[b]] = 1 + (0 if before is None else before.agreed.get((keys[a], keys[b]), 0))
     known = {} if before is None else before.unfit
-    misfits = {key: 1 + known.get(key, 0) for key in sorted(unfit(graph.window, optima.poses[0], step.g))}
+    misfits = {key: 1 + known.get(key, 0) for key in sorted(unfit(graph.window, optima.poses[0], step.g, graph.bodies))}
     return Cluster(base, graph.bodies, tuple(hypotheses), agreed, _motion(step, graph, optima.poses[0]), misfits)
 
 
