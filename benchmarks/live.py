@@ -2,7 +2,7 @@
 
     python benchmarks/live.py --data DATA --out out/live [--only kill clocks] [--short]
 
-Every row runs ``dgorl fleet``, one agent process a robot, one after another; half an hour in all on two cores. Times
+Every row runs ``dgorl fleet``, one agent process a robot, one after another; an hour in all on two idle cores. Times
 are the log's: a fleet at 4 × passes four of them a second. A machine too slow for that skips ticks, never data. The
 table is added to as rows come, and left in ``live.md``.
 """

@@ -24,6 +24,8 @@ from dgorl.team.report import Report, read_report
 
 CONFIG = ROOT / "configs" / "mrclam.yaml"
 
+NEWEST = 120.0
+"""Robots are compared by what was measured this long before the end [s]."""
 FRESH = 1.5
 """What is known of a peer that is picked up is not older [s]."""
 
@@ -105,8 +107,10 @@ def churned(folder: Path, log: Path, rate: float) -> Story:
 
 
 def _held(fleet: Fleet, robot: str) -> dict[tuple[str, int], Ranges]:
-    """Of the bundles with measurements: what is told of clocks in the end, somebody may have left too early to hear."""
-    return held(name for name, bundle in contents(fleet.journal(robot)).bundles.items() if bundle.measurements)
+    """Its newest bundles with measurements: what is older than the history nobody sends any more, and what is told of
+    clocks in the end somebody may have left too early to hear."""
+    bundles = contents(fleet.journal(robot)).bundles.items()
+    return held(name for name, bundle in bundles if bundle.measurements and bundle.cut > fleet.last - NEWEST)
 
 
 def _run(fleet: Fleet, lives: Sequence[Life]) -> None:

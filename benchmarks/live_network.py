@@ -74,7 +74,7 @@ def loss90(place: Place) -> Iterator[Row]:
 
 
 def _ninety(folder: Path, what: str, log: Path, *words: object) -> Row:
-    words = (log, "--initial", "known", *words, "--rate", 4)
+    words = (log, "--initial", "known", *words, "--rate", 1)
     good, left = ran(folder / "good", *words), ran(folder / "lossy", *words, "--loss", 0.9)
     ratio = left.team["tracked_fraction"] / good.team["tracked_fraction"]
     cover = left.team["coverage_95"]

@@ -7,7 +7,7 @@ from hashlib import blake2b
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dgorl.team.faults import Faults, Partition, topology
@@ -234,6 +234,8 @@ events = st.lists(
 
 
 @settings(max_examples=6, deadline=None)
+@example([("forget", 0, 1), ("forget", 1, 1)], 0, 0.0, "line")
+@example([("forget", 0, 1), ("forget", 1, 1)], 0, 0.0, "ring")
 @given(
     events, st.integers(0, 10**6), st.sampled_from([0.0, 0.3, 0.5]), st.sampled_from(["full", "line", "ring"])
 )  # fmt: skip

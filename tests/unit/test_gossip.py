@@ -280,6 +280,18 @@ def test_own_earlier_epochs_do_not_become_the_current_one() -> None:
     assert len(admission.epochs["r1"]) == len(admission.epochs["r2"]) == Admission.KEPT
 
 
+def test_an_epoch_that_becomes_known_late_does_not_become_the_current_one() -> None:
+    """r2 lived epochs 20, 21, 22; r3 heard 20 and 22, and in an epoch before its own last 21."""
+    admission = Admission(("r1", 1), fresh=180.0)
+    for key in (("r3", 30), ("r3", 31), ("r2", 22), ("r2", 20), ("r2", 21)):
+        told = {("r2", 22): [(31, 9.0)], ("r2", 20): [(30, 3.0), (31, 1.0)], ("r2", 21): [(31, 4.0)]}
+        for listener, stamp in told.get(key, ()):
+            reading = ClockReading("r3", listener, *key, 5.0, stamp)
+            admission.learn(Bundle("t", "r3", listener, 0, 0, stamp, clocks=(reading,)))
+        admission.admit(key)
+    assert admission.epochs["r2"] == [20, 21, 22]
+
+
 def test_what_waits_is_bounded() -> None:
     admission = Admission(("r1", 1), fresh=180.0)
     for epoch in range(100):

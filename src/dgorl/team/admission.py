@@ -2,7 +2,8 @@
 
 A new epoch is admitted when its own bundles tell of a message of a live epoch, sent lately on that epoch's clock, and
 that one tells of a message of the new epoch: two-way clock readings. A recording cannot know of an epoch that began
-after it (64 random bits), nor of a stamp that was later. Live is the own epoch, and those admitted that still report.
+after it (64 random bits), nor of a stamp that was later. Live is the own epoch, and those admitted that reported within
+the history: also one that ended since, so that those who died together are let in one by another.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Candidate:
 
 
 class Admission:
-    """Admitted epochs by robot, in the order of admission, and those that wait.
+    """Admitted epochs by robot, in the order the robot lived them, and those that wait.
 
     fresh: a message counts as sent lately up to this much [s] before the newest known of its sender.
     """
@@ -77,13 +78,12 @@ class Admission:
     def admit(self, key: Key) -> int | None:
         """Let an epoch in; the robot's epoch that is forgotten for it, if any."""
         epochs = self.epochs.setdefault(key[0], [])
-        # A robot's own current epoch stays the last: another one of its own is from before its journal was lost.
-        epochs.insert(len(epochs) - 1 if key[0] == self.own[0] else len(epochs), key[1])
         self.candidates.get(key[0], OrderedDict[int, Candidate]()).pop(key[1], None)
-        if len(epochs) <= self.KEPT:
-            return None
-        self._told.pop((key[0], epochs[0]), None)
-        return epochs.pop(0)
+        forgotten = epochs.pop(0) if len(epochs) == self.KEPT else None
+        if forgotten is not None:
+            self._told.pop((key[0], forgotten), None)
+        self._insert(key, epochs)
+        return forgotten
 
     def candidate(self, key: Key) -> Candidate:
         """The waiting epoch; the one not heard of for longest makes way for a new one."""
@@ -105,8 +105,15 @@ class Admission:
     def learn(self, bundle: Bundle) -> None:
         """A bundle of an admitted epoch tells whom its robot hears."""
         for reading in bundle.clocks:
-            if not self.admitted((reading.peer, reading.peer_epoch)):
-                self._hearing((bundle.robot, bundle.epoch), (reading.peer, reading.peer_epoch), bundle.cut)
+            self._hearing((bundle.robot, bundle.epoch), (reading.peer, reading.peer_epoch), bundle.cut)
+
+    def sort(self) -> None:
+        """Put epochs that were admitted before their bundles were known in their order."""
+        for robot, epochs in self.epochs.items():
+            as_admitted = epochs.copy()
+            epochs.clear()
+            for epoch in as_admitted:
+                self._insert((robot, epoch), epochs)
 
     def ready(self, clock: Callable[[Key], float | None]) -> Iterator[Key]:
         """Waiting epochs that can be admitted.
@@ -122,6 +129,30 @@ class Admission:
         told = self._told.get(live, OrderedDict[Key, float]()).get(key)
         newest = clock(live)
         return told is not None and newest is not None and min(told, sent) >= newest - self._fresh
+
+    def _insert(self, key: Key, epochs: list[int]) -> None:
+        """Bundles of an epoch may come after those of the epochs that followed it."""
+        if key == self.own:
+            place = len(epochs)
+        else:
+            later = (k for k, epoch in enumerate(epochs) if self._followed(key, (key[0], epoch)))
+            place = next(later, len(epochs))
+        epochs.insert(place, key[1])
+
+    def _followed(self, key: Key, other: Key) -> bool:
+        """Whether somebody heard ``other`` of the same robot later than ``key``."""
+        if other == self.own:
+            return True
+        last = ((self._last(robot, key), self._last(robot, other)) for robot in self.epochs)
+        return any(one is not None and two is not None and one < two for one, two in last)
+
+    def _last(self, robot: str, key: Key) -> tuple[int, float] | None:
+        """When a robot heard an epoch last: in which of its own epochs, at which stamp [s]."""
+        for order, epoch in reversed(list(enumerate(self.epochs[robot]))):
+            stamp = self._told.get((robot, epoch), OrderedDict[Key, float]()).get(key)
+            if stamp is not None:
+                return order, stamp
+        return None
 
     def _hearing(self, live: Key, key: Key, stamp: float) -> None:
         told = self._told.setdefault(live, OrderedDict())

@@ -81,6 +81,7 @@ class Library:
         for sealed in bundles:
             if (sealed.bundle.robot, sealed.bundle.epoch) in self.shelves:
                 self.keep(sealed, now)
+        self.admission.sort()
 
     def tidy(self, now: float) -> None:
         """Let go of epochs that ended longer ago than the history."""
@@ -121,5 +122,4 @@ class Library:
         if key == self.own:
             return now
         shelf = self.shelves.get(key)
-        live = shelf is not None and self.admission.current(key[0]) == key[1]
-        return shelf.newest if shelf and live and now - shelf.changed <= self._retention else None
+        return shelf.newest if shelf and now - shelf.changed <= self._retention else None
