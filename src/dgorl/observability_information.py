@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgorl import _core, se2
-from dgorl.observability import Bars, bars
+from dgorl.observability import Bars, bars, median
 from dgorl.optimization import native
 from dgorl.optimization.problem import Indices, Loss, Problem, RelativePoses
 from dgorl.se2 import Array
@@ -128,8 +128,8 @@ def sharper(problem: Problem, ranges: Bars) -> float:
     if not len(ranges.i) or not len(problem.odometry[0]):
         return 1.0
     steps = np.linalg.inv(problem.odometry[3])[:, :2, :2].trace(axis1=1, axis2=2) / 2
-    sharp = min(1.0 / float(np.median(steps)), STIFF)
-    return max(1.0, sharp / float(np.median(ranges.weight)))
+    sharp = min(1.0 / median(steps), STIFF)
+    return max(1.0, sharp / median(ranges.weight))
 
 
 def measured(problem: Problem) -> Problem:

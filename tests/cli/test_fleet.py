@@ -73,10 +73,13 @@ def test_a_good_network_gives_what_a_replay_gives(dgorl: Dgorl, log: Path, tmp_p
     assert (fleet / "figures" / "trajectories.png").is_file()
 
 
-def test_on_a_bad_network_with_a_power_cut_and_a_latecomer(dgorl: Dgorl, log: Path, tmp_path: Path) -> None:
+def test_on_a_bad_network_with_a_power_cut_and_a_latecomer(dgorl: Dgorl, tmp_path: Path) -> None:
+    # Long enough for robots whose programs take seconds to start, on a busy machine.
+    size = ("--simulation.robots", 3, "--simulation.steps", 48, "--simulation.area", 20)
+    team = ("--simulate", *size, "--simulation.sensors", "rssi,range")
     faults = ("--loss", 0.3, "--delay", "0-0.3", "--duplicate", 0.2, "--reorder", 0.2, "--topology", "line")
     events = ("--kill", "r2@3", "--join", "r2@5", "--join", "r3@2", "--partition", "r1|r2,r3:6-8")
-    summary, _ = run(dgorl, log, "--rate", 3, "--settle", 20, *faults, *events, "--out", tmp_path)
+    summary, _ = run(dgorl, *team, "--rate", 3, "--settle", 20, *faults, *events, "--out", tmp_path)
     assert summary["checks"]["robots"] == ["r1", "r2", "r3"]
     assert summary["checks"]["equal_data"]
     assert summary["checks"]["equal_estimates"]
