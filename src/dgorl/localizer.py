@@ -48,6 +48,15 @@ class Team:
         """Team time when that clock shows ``local_now`` [s], None while it is not placed."""
         return local_now
 
+    def prepare(self, now: float) -> bool:
+        """Compute one of the nodes that ``update(now)`` needs and that are not known yet; whether more are missing.
+
+        After a restart, a partition or late data there are many: whoever has other things to do does them in between.
+        """
+        g = self._memo.due(now)
+        self._receive(now, g)
+        return self._memo.towards(g).stamp < g
+
     def update(self, now: float) -> TeamNow:
         """Alg. 3 at ``now`` [s]. Formation, expansion and optimisation are the node's; it is carried on to now.
 
@@ -117,6 +126,10 @@ class Localizer:
     def add(self, measurement: Measurement, clock: ClockKey | None = None) -> None:
         """Take a measurement, own or received, in any order, twice without harm; nothing is computed yet."""
         self.team.add(measurement, clock)
+
+    def prepare(self, now: float) -> bool:
+        """Do a part of what ``update(now)`` would do all at once after a pause; whether more parts are left."""
+        return self.team.prepare(now)
 
     def update(self, now: float) -> Estimate:
         """Every peer's relative pose at ``now`` [s] (Alg. 3: formation → expansion → optimisation)."""

@@ -74,6 +74,12 @@ class Memo:
 
     def node(self, g: float) -> Node:
         """node(g) [s], from the nearest one known before it."""
+        while (node := self.towards(g)).stamp < g:
+            continue
+        return node
+
+    def towards(self, g: float) -> Node:
+        """The nearest node known before g [s] and brought one node nearer; node(g) in the end."""
         known = [stamp for stamp in self._nodes if stamp <= g]
         if known:
             node = self._nodes[max(known)]
@@ -81,7 +87,7 @@ class Memo:
             return Node(g)
         else:
             node = Node((ceil(self._earliest / SPACING) - 1) * SPACING)
-        while node.stamp < g:
+        if node.stamp < g:
             quiet = self._quiet_until(node, g)
             with stage(OPTIMISATION):
                 node = self._advance(node) if quiet is None else replace(node, stamp=quiet)

@@ -77,8 +77,17 @@ class ClockedTeam(Team):
                 self._advance(home)
         return self.clocks.chain.team(key, local_now)
 
+    def prepare(self, now: float) -> bool:
+        """A part of ``update(now)``: one node."""
+        return super().prepare(self._placed(now))
+
     def update(self, now: float) -> TeamNow:
         """Alg. 3 at ``now`` [s] of team time. Raises ValueError when ``now`` is not a time."""
+        now = self._placed(now)
+        return replace(super().update(now), clocks=self._states(now), unplaced=self._unplaced())
+
+    def _placed(self, now: float) -> float:
+        """Bring the maps up to ``now`` [s] and give the team what is known by then; now on the maps as they are."""
         home = self._home(now) if now == now else None
         if home is not None:
             reference = self.clocks.chain.reference
@@ -87,7 +96,7 @@ class ClockedTeam(Team):
             if self.clocks.chain.reference != reference and team is not None:
                 now = team
             self._give(now)
-        return replace(super().update(now), clocks=self._states(now), unplaced=self._unplaced())
+        return now
 
     def _home(self, team: float | None) -> float | None:
         """What the own clock shows at a team time [s]; before anything is known, the same."""

@@ -18,7 +18,7 @@ from dgorl.configuration import Configuration, as_dict, merge
 from dgorl.logs import read
 from dgorl.measurements import Bearing, Range, Rssi
 
-from .commandline import ENVIRONMENT, Dgorl, command, fails_well
+from .commandline import ENVIRONMENT, Dgorl, command, ended, fails_well
 
 COMMANDS = ("demo", "run", "simulate", "paper", "agent", "fleet", "monitor", "doctor", "keys", "config")
 
@@ -137,15 +137,52 @@ def test_interrupt_is_130(dgorl: Dgorl, tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.default_int_handler
+        ),  # a job in the background ignores it
     )
-    for _ in range(600):
-        if out.exists():
-            break
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=30)
+    with ended(process):
+        for _ in range(600):
+            if out.exists():
+                break
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=30)
     assert process.returncode == 130
     assert (stdout, stderr) == ("", "interrupted\n")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for one process")
+def test_an_interrupt_that_a_destructor_swallows_comes_again() -> None:
+    swallows = """
+import os, signal, sys, time
+from dgorl.cli import main as line
+
+class Swallowing:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
+
+def command(_):
+    try:
+        Swallowing()
+        time.sleep(30)
+    finally:
+        time.sleep(2.5)
+        print("cleared up")
+
+sys.unraisablehook = lambda unraisable: None
+line.import_module = lambda name: type("Module", (), {"main": staticmethod(command)})
+sys.exit(line.main(["demo"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", swallows],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "cleared up\n", "interrupted\n")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGPIPE")

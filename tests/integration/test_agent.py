@@ -306,6 +306,29 @@ def test_missed_ticks_are_skipped_and_nothing_is_lost(lab: type, log: Log) -> No
     assert_alike(team, 25.0)
 
 
+def test_the_network_is_heard_while_a_long_past_is_computed(lab: type, log: Log) -> None:
+    team = lab(log)
+    for robot in log.robots:
+        team.start(robot)
+    team.run(18.0)
+    team.stop("r2")
+    agent = team.start("r2")
+    now, parts = 18.5, 0
+    while (report := agent.step(now, parts=True)) is None:
+        assert agent.due < now
+        for other in ("r1", "r3"):
+            team.agents[other].step(now)
+        now += 0.1
+        team.air.now, parts = now, parts + 1
+    assert parts >= 3  # nodes
+    assert (report.stamp, agent.due) == (18.5, 19.0)
+    assert report.traffic.received_messages > 0
+    journals = [team.folder / f"{robot}.journal" for robot in log.robots]
+    again = recompute(journals, report.data, 18.5, "r2", team.configuration, start_priors(log.starts))
+    assert peers_of(again) == report.peers
+    assert agent.step(19.0, parts=True).stamp == 19.0
+
+
 def test_bad_lines_are_answered_and_counted(lab: type, log: Log) -> None:
     team = lab(log)
     agent = team.start("r1")

@@ -18,8 +18,8 @@ from dgorl.team.intake import LONGEST_LINE
 from dgorl.team.json_logs import JsonLines
 from dgorl.team.lines import WAITING, LinesIn, LinesOut
 from dgorl.team.network import Network
-from dgorl.team.pace import Pace, begin
-from dgorl.team.process import Setup, Wall, run
+from dgorl.team.pace import Pace, Wall, begin
+from dgorl.team.process import Setup, run
 from dgorl.team.report import Report, read_report
 from dgorl.team.team_file import TeamFile
 from dgorl.team.wire_bytes import WireBytes
@@ -41,9 +41,9 @@ def run_alone(folder: Path, monkeypatch: pytest.MonkeyPatch, origin: float, unti
 
 
 def test_it_ends_when_its_time_has_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = run_alone(tmp_path, monkeypatch, 100.0, 106.0)
+    said = run_alone(tmp_path, monkeypatch, 100.0, 140.0)
     assert [report.final for report in said] == [False] * (len(said) - 1) + [True]
-    assert said[-2].stamp == said[-1].stamp == 106.0
+    assert said[-2].stamp == said[-1].stamp == 140.0
     stamps = [report.stamp for report in said[:-1]]
     assert stamps == sorted(set(stamps))
     assert all(stamp % Configuration().period == 0.0 for stamp in stamps)

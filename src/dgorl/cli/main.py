@@ -9,6 +9,7 @@ from importlib import import_module
 from io import TextIOWrapper
 
 import dgorl
+from dgorl.cli.interrupts import interruptible
 from dgorl.configuration import nearest
 from dgorl.errors import DgorlError
 
@@ -33,8 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        code = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
-        sys.stdout.flush()
+        with interruptible():
+            code = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
+            sys.stdout.flush()
         return code
     except DgorlError as error:
         return _fail(str(error))

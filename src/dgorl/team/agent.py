@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from math import floor
+from math import floor, inf
 
 from dgorl.errors import MeasurementError
 from dgorl.localizer import Localizer
@@ -71,6 +71,8 @@ class Agent:
         self._unsent: list[Sealed] = []
         self._bundles = 0
         self._tick = floor(now / configuration.period)
+        self._estimating: float | None = None
+        self._spent = 0.0
         track = self._remember(now)
         self._bundler = Bundler(
             team.team, robot, journal.epoch, sequence=journal.next_sequence, track=track, substep=team.substep
@@ -96,20 +98,32 @@ class Agent:
         else:
             self._bundler.add(measured)
 
-    def step(self, now: float) -> Report | None:
+    @property
+    def due(self) -> float:
+        """When the next tick is [s]; now, so to speak, while one is being computed in parts."""
+        return -inf if self._estimating is not None else (self._tick + 1) * self.team.configuration.period
+
+    def step(self, now: float, *, parts: bool = False) -> Report | None:
         """Hear the network, answer it; when a tick is due, cut, commit and publish a bundle and estimate.
 
         Ticks that were missed are skipped: the bundle holds all that is known, and the estimate depends on the data and
-        on its own time alone.
+        on its own time alone. parts: where many nodes are missing (after a restart, a partition) compute one of them
+        and return None, so that the network is heard in between; call again soon.
         """
         self.hear(now)
-        period = self.team.configuration.period
-        tick = floor(now / period)
-        if tick <= self._tick:
+        if self._estimating is None:
+            period = self.team.configuration.period
+            tick = floor(now / period)
+            if tick <= self._tick:
+                return None
+            self._tick = tick
+            self.publish(tick * period, now)
+            self._estimating = tick * period
+            self._admit(tick * period)
+        stamp = self._estimating
+        if parts and self._prepare(stamp):
             return None
-        self._tick = tick
-        self.publish(tick * period, now)
-        report = self.estimate(tick * period)
+        report = self._report(stamp)
         self._tell_watchers(report, now)
         return report
 
@@ -140,14 +154,34 @@ class Agent:
 
     def estimate(self, now: float, *, final: bool = False) -> Report:
         """Admit what came and estimate at ``now`` [s]; journal both."""
+        self._admit(now)
+        return self._report(now, final=final)
+
+    def _admit(self, now: float) -> None:
+        """Let in what came by ``now`` [s], the stamp of a tick, and journal that."""
         began = time.process_time()
         admitted = self._admission.due(now)
         for sealed in admitted:
             self._give(sealed.bundle)
-        placed = self._localizer.team.team_now(*self._clock, now)
-        estimate = self._localizer.update(now if placed is None else placed)
-        spent = time.process_time() - began
         self.journal.tick(now, admitted)
+        self._spent = time.process_time() - began
+
+    def _prepare(self, now: float) -> bool:
+        """A part of the estimate at ``now`` [s]; whether more parts are left."""
+        began = time.process_time()
+        more = self._localizer.prepare(self._team_time(now))
+        self._spent += time.process_time() - began
+        return more
+
+    def _team_time(self, now: float) -> float:
+        placed = self._localizer.team.team_now(*self._clock, now)
+        return now if placed is None else placed
+
+    def _report(self, now: float, *, final: bool = False) -> Report:
+        began = time.process_time()
+        estimate = self._localizer.update(self._team_time(now))
+        self._spent += time.process_time() - began
+        self._estimating = None
         try:
             self.journal.flush()
         except JournalError as error:
@@ -170,7 +204,7 @@ class Agent:
                 self._bundles,
             ),
             rejected=self._all_rejected(estimate.rejected),
-            tick_s=spent,
+            tick_s=self._spent,
             final=final,
         )
 

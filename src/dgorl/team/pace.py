@@ -1,12 +1,13 @@
-"""The clock of a robot in a fleet on one machine: a recording's time, at any rate, off and drifting as one likes."""
+"""The clock of a robot: its machine's; in a fleet on one machine a recording's time, at any rate, off and drifting."""
 
 from __future__ import annotations
 
 import logging
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from dgorl.clocks import SteadyClock
 from dgorl.errors import ConfigurationError
 from dgorl.team.lines import LinesIn
 
@@ -46,6 +47,24 @@ class Pace:
         if not self.offset and not self.drift:
             return stamp
         return self.origin + (stamp - self.offset - self.origin) / (1.0 + 1e-6 * self.drift)
+
+
+@dataclass
+class Wall:
+    """The machine's clock as an agent's: steady, whatever happens to the wall clock."""
+
+    _steady: SteadyClock = field(default_factory=lambda: SteadyClock(time.time(), time.monotonic()))
+
+    def now(self) -> float:
+        """The robot's clock [s]."""
+        return self._steady.now(time.monotonic())
+
+    def ahead(self) -> float:
+        """How far the wall clock, which sensors stamp with, has jumped ahead of it [s]."""
+        jump = self._steady.look(time.time(), time.monotonic())
+        if jump:
+            log.warning("the wall clock jumped", extra={"fields": {"by_s": round(jump, 3)}})
+        return self._steady.difference if self._steady.jumps else 0.0
 
 
 def begin(lines: LinesIn) -> float:

@@ -9,10 +9,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from dgorl.clocks import SteadyClock
 from dgorl.configuration import as_dict
 from dgorl.evaluation.output import peak_rss_mb
 from dgorl.history import DEFAULT_SILENCE
@@ -25,7 +24,7 @@ from dgorl.team.journal import Journal, Synchronous
 from dgorl.team.keys import UNSIGNED, KeyFileError, Signer, load_key
 from dgorl.team.lines import WAITING, LinesIn, LinesOut
 from dgorl.team.local_session import LocalSession, port_of
-from dgorl.team.pace import Pace
+from dgorl.team.pace import Pace, Wall
 from dgorl.team.report import Report
 from dgorl.team.team_file import TeamFile
 from dgorl.team.transport import Transport
@@ -38,6 +37,9 @@ LOOK = 0.02
 """The network is looked at this often [s] ..."""
 LEAST = 0.002
 """... in fast fleets more often, but no oftener than this [s]."""
+
+GRACE = 0.005
+"""A tick is computed this much later [s], when the robot's own measurements up to it have come."""
 
 log = logging.getLogger("dgorl.agent")
 
@@ -61,24 +63,6 @@ class Setup:
     pace: Pace | None = None
     until: float | None = None
     settle: float = 0.0
-
-
-@dataclass
-class Wall:
-    """The machine's clock as an agent's: steady, whatever happens to the wall clock."""
-
-    _steady: SteadyClock = field(default_factory=lambda: SteadyClock(time.time(), time.monotonic()))
-
-    def now(self) -> float:
-        """The robot's clock [s]."""
-        return self._steady.now(time.monotonic())
-
-    def ahead(self) -> float:
-        """How far the wall clock, which sensors stamp with, has jumped ahead of it [s]."""
-        jump = self._steady.look(time.time(), time.monotonic())
-        if jump:
-            log.warning("the wall clock jumped", extra={"fields": {"by_s": round(jump, 3)}})
-        return self._steady.difference if self._steady.jumps else 0.0
 
 
 def run(setup: Setup) -> None:
@@ -145,20 +129,23 @@ class _Process:
         """Steps until it is to stop; then what came last is committed and told, and the last estimate made."""
         setup = self.setup
         end = float("inf") if setup.until is None else setup.until
-        wait = max(min(LOOK, LOOK * 10 / self.rate), LEAST)
+        look = max(min(LOOK, LOOK * 10 / self.rate), LEAST)
+        grace = GRACE * self.rate
         ended = False
         while not self.stop.is_set() and (now := self.now()) < end + setup.settle:
             self._measurements(agent)
-            if not ended:
-                report = agent.step(min(now, end))
-                if report is not None:
-                    self._tell(report)
-                ended = now >= end
-            else:
+            if ended:
                 agent.hear(now)
                 agent.publish(end, now)
+            elif now >= min(agent.due, end) + grace:
+                report = agent.step(min(now, end), parts=True)
+                if report is not None:
+                    self._tell(report)
+                ended = now >= end and agent.due > end
+            else:
+                agent.hear(now)
             self._troubles(agent)
-            self.stop.wait(wait)
+            self.stop.wait(min(look, max(agent.due + grace - self.now(), 0.0) / self.rate))
         self._measurements(agent)
         last = min(self.now(), end)
         agent.hear(self.now())
