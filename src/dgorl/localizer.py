@@ -10,7 +10,7 @@ from dgorl.configuration import Configuration
 from dgorl.estimate import Estimate
 from dgorl.expansion.step import SPACING
 from dgorl.expansion.ticks import hypotheses_now
-from dgorl.history import History
+from dgorl.history import LATE, History
 from dgorl.measurements import LARGEST, ClockKey, ClockReading, Measurement
 from dgorl.nodes import Memo, Node
 from dgorl.stages import FORMATION, OPTIMISATION, stage
@@ -57,6 +57,16 @@ class Team:
         self._receive(now, g)
         return self._memo.towards(g).stamp < g
 
+    def anticipate(self, now: float) -> None:
+        """Compute the node that ``update(now)`` will need, if all robots that are there have told their way up to it.
+
+        Nothing is admitted: should data for it come later it is computed again.
+        """
+        g = self._memo.due(now)
+        ends = [trail.tracks[-1].end for trail in self.history.trails.values() if trail.tracks]
+        if all(end >= g or end < g - LATE for end in ends):
+            self._memo.node(g)
+
     def update(self, now: float) -> TeamNow:
         """Alg. 3 at ``now`` [s]. Formation, expansion and optimisation are the node's; it is carried on to now.
 
@@ -76,13 +86,20 @@ class Team:
         return View(self.history, state, robot, now).estimate()
 
     def _carried_on(self, node: Node, low: float, now: float) -> TeamNow:
+        liars = node.inconsistent
         clusters = [
-            ClusterNow(tuple(hypotheses_now(self.history, c, now)), c.motion, c.named, c.sure) for c in node.clusters
+            ClusterNow(
+                tuple(hypotheses_now(self.history, c, now)),
+                c.motion,
+                c.named | (liars & c.tracks),
+                [pair for pair in c.sure if not liars & set(pair)],
+            )
+            for c in node.clusters
         ]
         return TeamNow(
             tuple(self._joined(node.components, node, low, now)),
             tuple(cluster for cluster in clusters if cluster.hypotheses),
-            frozenset(node.suspects),
+            liars,
             tuple(self._joined(node.doubted.values(), node, low, now)) if node.doubted else (),
         )
 
@@ -130,6 +147,10 @@ class Localizer:
     def prepare(self, now: float) -> bool:
         """Do a part of what ``update(now)`` would do all at once after a pause; whether more parts are left."""
         return self.team.prepare(now)
+
+    def anticipate(self, now: float) -> None:
+        """Do before ``now`` [s] what ``update(now)`` would have to do then, as far as that is certain; in idle time."""
+        self.team.anticipate(now)
 
     def update(self, now: float) -> Estimate:
         """Every peer's relative pose at ``now`` [s] (Alg. 3: formation → expansion → optimisation)."""

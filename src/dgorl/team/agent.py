@@ -72,6 +72,7 @@ class Agent:
         self._bundles = 0
         self._tick = floor(now / configuration.period)
         self._estimating: float | None = None
+        self._estimated = -inf
         self._spent = 0.0
         track = self._remember(now)
         self._bundler = Bundler(
@@ -127,6 +128,10 @@ class Agent:
         self._tell_watchers(report, now)
         return report
 
+    def rest(self) -> None:
+        """Compute what the next tick will need; call it when the report of the last one is out."""
+        self._localizer.anticipate(self._estimated + self.team.configuration.period)
+
     def hear(self, now: float) -> None:
         """Hear the network and answer it."""
         for message in self.transport.poll():
@@ -179,7 +184,8 @@ class Agent:
 
     def _report(self, now: float, *, final: bool = False) -> Report:
         began = time.process_time()
-        estimate = self._localizer.update(self._team_time(now))
+        self._estimated = self._team_time(now)
+        estimate = self._localizer.update(self._estimated)
         self._spent += time.process_time() - began
         self._estimating = None
         try:

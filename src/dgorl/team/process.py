@@ -141,6 +141,7 @@ class _Process:
                 report = agent.step(min(now, end), parts=True)
                 if report is not None:
                     self._tell(report)
+                    agent.rest()
                 ended = now >= end and agent.due > end
             else:
                 agent.hear(now)
