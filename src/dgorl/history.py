@@ -31,7 +31,10 @@ WORLD_KEY = TrackKey(WORLD, 0, -inf)
 """Names the member that never moves, among the tracks."""
 
 LATE = 10.0
-"""Data later than this [s] waits for the next node time, so that a laggard costs one rewind per node."""
+"""Data later than this [s] waits for the next node time, so that a laggard costs one rewind per node ..."""
+
+AT_ONCE = 6
+"""... but for the first so many rewinds after a node that nothing late came for: a healed partition's."""
 
 KINDS = {Rssi: "rssi", Range: "range", Bearing: "bearing"}
 """The table each reading is in."""
@@ -58,6 +61,7 @@ class History:
         self._heard: dict[str, int] = {}
         self._inbox: list[tuple[float, int, Measurement]] = []
         self._count = 0
+        self._at_once = AT_ONCE
         window = configuration.window
         self._silence = DEFAULT_SILENCE if window == "all" else float(window)
 
@@ -70,11 +74,16 @@ class History:
         else:
             bisect.insort(self._inbox, item)
 
+    def takes_late(self, node_due: bool) -> bool:
+        """Whether ``admit`` would take what is later than 10 s."""
+        return node_due or self._at_once > 0
+
     def admit(self, now: float, node_due: bool) -> float:
         """Admit what is known at ``now``; the earliest time [s] at which anything changed, infinity if nothing did.
 
-        What is later than ``history`` is rejected; what is later than 10 s waits until a node is due.
+        What is later than ``history`` is rejected; what is later than 10 s waits, mostly, until a node is due.
         """
+        takes_late, late = self.takes_late(node_due), False
         ready = bisect.bisect_right(self._inbox, now, key=lambda item: item[0])
         taken, waiting = self._inbox[:ready], self._inbox[ready:]
         early = []
@@ -86,11 +95,16 @@ class History:
             since = measurement.start if isinstance(measurement, Odometry | Displacement) else stamp
             if now - since > self.configuration.history:
                 self.rejected["too late"] += 1
-            elif now - stamp > LATE and not node_due:
+            elif now - stamp > LATE and not takes_late:
                 early.append(item)
             else:
+                late = late or now - stamp > LATE
                 fresh[measurement] = None
         self._inbox = early + waiting
+        if late:
+            self._at_once -= not node_due
+        elif node_due:
+            self._at_once = AT_ONCE
         return self._take(list(fresh)) if fresh else inf
 
     def forget(self, before: float) -> None:

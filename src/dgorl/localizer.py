@@ -67,6 +67,10 @@ class Team:
         if all(end >= g or end < g - LATE for end in ends):
             self._memo.node(g)
 
+    def takes_late(self, now: float) -> bool:
+        """Whether ``update(now)`` would admit data that is later than 10 s, or leave it for the next node."""
+        return self.history.takes_late(self._memo.due(now) > self._last_node)
+
     def update(self, now: float) -> TeamNow:
         """Alg. 3 at ``now`` [s]. Formation, expansion and optimisation are the node's; it is carried on to now.
 

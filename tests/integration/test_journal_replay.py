@@ -125,7 +125,7 @@ class Lived:
                 sealed = seal(bundle, UNSIGNED)
                 journal.commit_own(sealed)
                 admission.offer(sealed)
-            admitted = admission.due(now)
+            admitted = admission.due(now, takes_late=localizer.team.takes_late(now))
             for sealed in admitted:
                 for measurement in sealed.bundle.measurements:
                     localizer.add(measurement)

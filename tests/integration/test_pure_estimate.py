@@ -13,6 +13,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from dgorl import Bearing, Localizer, Range, RelativePose, Rssi, Team, se2
+from dgorl.history import AT_ONCE
 from dgorl.measurements import WORLD, known_at
 from dgorl.replay import known_starts
 from tests.integration.teams import causal, everything, flat, settings, simulated, team_of, ticks
@@ -163,7 +164,7 @@ def test_later_than_history_is_rejected_and_counted():
 
 
 def test_a_laggard_waits_for_the_next_node():
-    """Data later than 10 s is admitted at the next node time, all at once."""
+    """Data later than 10 s is admitted at once six times, as of a healed partition; then at the next node time."""
     log = simulated(steps=80)
     configuration = settings(log)
     measurements = everything(log)
@@ -172,10 +173,19 @@ def test_a_laggard_waits_for_the_next_node():
     for measurement in measurements:
         if measurement not in missing:
             team.add(measurement)
-    without = flat(localizers, 36.5)
-    for measurement in missing:
+    flat(localizers, 36.5)
+    now, first, rest = 36.6, missing[: 2 * AT_ONCE], missing[2 * AT_ONCE :]
+    assert rest
+    for two in zip(first[::2], first[1::2], strict=True):
+        before = flat(localizers, now)
+        for measurement in two:
+            team.add(measurement)
+        assert flat(localizers, now) != before
+        now += 0.1
+    before = flat(localizers, now)
+    for measurement in rest:
         team.add(measurement)
-    assert flat(localizers, 36.5) == without
+    assert flat(localizers, now) == before
     later = flat(localizers, 41.5)
     assert later == causal(log, configuration, [41.5])
 

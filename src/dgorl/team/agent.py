@@ -17,7 +17,7 @@ from dgorl.replay import start_priors
 from dgorl.team.bulletin import Bulletins
 from dgorl.team.bundler import Bundler
 from dgorl.team.bundles import Bundle, Sealed
-from dgorl.team.envelope import Rejected
+from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.gossip import Gossip, Outgoing, Reaction
 from dgorl.team.intake import Moved, read_line
 from dgorl.team.journal import Journal
@@ -165,7 +165,7 @@ class Agent:
     def _admit(self, now: float) -> None:
         """Let in what came by ``now`` [s], the stamp of a tick, and journal that."""
         began = time.process_time()
-        admitted = self._admission.due(now)
+        admitted = self._admission.due(now, takes_late=self._localizer.team.takes_late(now))
         for sealed in admitted:
             self._give(sealed.bundle)
         self.journal.tick(now, admitted)
@@ -260,6 +260,8 @@ class Agent:
         total = Counter(measurements)
         for counter in (self._rejected, self._bundler.dropped, self._gossip.rejected, self._admission.rejected):
             total.update({str(reason): count for reason, count in counter.items()})
+        if refused := self.transport.traffic.refused:
+            total[str(Reason.RATE)] += refused
         return dict(sorted(total.items()))
 
     def _trouble(self, error: JournalError) -> None:

@@ -7,7 +7,6 @@ from collections import Counter
 from dgorl.configuration import Configuration
 from dgorl.history import LATE
 from dgorl.measurements import Displacement, Odometry, known_at
-from dgorl.nodes import Memo
 from dgorl.team.bundles import Bundle, Sealed
 from dgorl.team.journal_data import ranges
 from dgorl.team.ranges import Ranges
@@ -26,7 +25,6 @@ class Admission:
         self._history = configuration.history
         self._waiting: list[Sealed] = []
         self._admitted: dict[tuple[str, int], Ranges] = {}
-        self._last_node = float("-inf")
 
     @property
     def data(self) -> str:
@@ -37,13 +35,14 @@ class Admission:
         """Take a bundle, own or received; twice without harm."""
         self._waiting.append(sealed)
 
-    def due(self, now: float) -> tuple[Sealed, ...]:
-        """What to give the Localizer before it is updated at ``now`` [s], in order of arrival. Call it once a tick."""
-        node = Memo.due(now)
-        node_due, self._last_node = node > self._last_node, max(node, self._last_node)
+    def due(self, now: float, *, takes_late: bool) -> tuple[Sealed, ...]:
+        """What to give the Localizer before it is updated at ``now`` [s], in order of arrival.
+
+        takes_late: whether it would admit what is later than 10 s.
+        """
         taken, waiting = [], []
         for sealed in self._waiting:
-            if self._shared and self._waits(sealed.bundle, now, node_due):
+            if self._shared and self._waits(sealed.bundle, now, takes_late):
                 waiting.append(sealed)
             elif self._shared and now - _since(sealed.bundle, now) > self._history:
                 self.rejected["too late"] += 1
@@ -52,10 +51,10 @@ class Admission:
         self._waiting = waiting
         return tuple(taken)
 
-    def _waits(self, bundle: Bundle, now: float, node_due: bool) -> bool:
-        """For its time to come, or, late, for the next node (METHOD §1)."""
+    def _waits(self, bundle: Bundle, now: float, takes_late: bool) -> bool:
+        """For its time to come, or, late, for a tick that takes it (METHOD §1)."""
         stamps = [known_at(m) for m in bundle.measurements]
-        return max(stamps, default=now) > now or (now - min(stamps, default=now) > LATE and not node_due)
+        return max(stamps, default=now) > now or (now - min(stamps, default=now) > LATE and not takes_late)
 
     def _is_new(self, bundle: Bundle) -> bool:
         numbers = self._admitted.setdefault((bundle.robot, bundle.epoch), Ranges())
