@@ -29,7 +29,7 @@ from dgorl.team.faults import Faults
 from dgorl.team.journal_data import parse
 
 SKIPPED = 5.0
-"""The first seconds do not count. With nine of ten lost it takes 10 to 20 s until all have admitted all: they count."""
+"""The first seconds do not count. With nine of ten lost it takes 3 to 6 s until all have admitted all."""
 
 
 @dataclass(frozen=True)

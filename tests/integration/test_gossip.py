@@ -72,14 +72,65 @@ def test_signed_and_half_lost() -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_nine_of_ten_lost(seed: int) -> None:
-    network = started(5, Faults(loss=0.9, seed=seed), seed=seed)
+    """All that was measured is with all within a second or two; of messages and bytes no more is sent than may be."""
+    network = started(5, Faults(loss=0.9, seed=seed), signed=True, seed=seed)
+    network.run(15.0)
+    assert all(len(robot.admitted) == 4 for robot in network.robots.values())
+    before = {name: robot.air.traffic for name, robot in network.robots.items()}
     network.run(30.0)
-    assert all(len(robot.gossip.live(network.now)) >= 3 for robot in network.robots.values())
-    network.run(30.0)
-    took = delays(network, 30.0)
-    assert np.quantile(took, 0.95) <= 8.0
-    assert max(robot.air.traffic.sent_bytes for robot in network.robots.values()) / 60.0 <= 60_000
-    assert network.until_equal(30.0) < 20.0
+    took = delays(network, 15.0)
+    assert np.quantile(took, 0.5) <= 0.5
+    assert np.quantile(took, 0.99) <= 2.0
+    for name, robot in network.robots.items():
+        assert len(robot.gossip.live(network.now)) == 4
+        assert (robot.air.traffic.sent_bytes - before[name].sent_bytes) / 30.0 <= 50_000
+        assert (robot.air.traffic.sent_messages - before[name].sent_messages) / 30.0 <= 36
+        assert "too fast" not in robot.gossip.rejected
+    assert network.until_equal(30.0) < 10.0
+
+
+def test_nine_of_ten_lost_from_robot_to_robot() -> None:
+    reaches = topology("line", [f"r{k + 1}" for k in range(4)])
+    network = started(4, Faults(loss=0.9, reaches=reaches), seed=1)
+    network.run(60.0)
+    assert np.quantile(delays(network, 30.0), 0.9) <= 4.0
+
+
+def test_a_latecomer_gets_the_history_where_nine_of_ten_are_lost() -> None:
+    network = Network(5, Faults(loss=0.9), seed=3)
+    network.start("r1", "r2", "r3", "r4")
+    network.run(60.0)
+    network.start("r5")
+    network.run(45.0)
+    late = network.robots["r5"]
+    told = [name for name in late.known if name.robot == "r1" and late.journal[name].bundle.cut <= 60.0]
+    assert len(told) == 120
+
+
+def test_bundles_are_pushed_only_where_most_messages_get_lost() -> None:
+    network = started(5, Faults(loss=0.4))
+    for _ in range(60):
+        network.run(0.5)
+        assert not any(robot.gossip._pushes.on for robot in network.robots.values())
+    network.change(Faults(loss=0.9))
+    network.run(20.0)
+    assert all(robot.gossip._pushes.on for robot in network.robots.values())
+    network.change(Faults())
+    network.run(10.0)
+    assert not any(robot.gossip._pushes.on for robot in network.robots.values())
+    network.run(10.0)
+    before = network.robots["r1"].air.traffic.sent_bytes
+    network.run(10.0)
+    assert (network.robots["r1"].air.traffic.sent_bytes - before) / 10.0 <= 2000.0
+
+
+def test_who_has_not_met_all_speaks_up_for_a_moment() -> None:
+    network = Network(5)
+    network.start("r1", "r2")
+    network.run(10.0)
+    before = network.robots["r1"].air.traffic.sent_messages
+    network.run(20.0)
+    assert network.robots["r1"].air.traffic.sent_messages - before <= 20 * 3, "the other three may be away for good"
 
 
 @pytest.mark.parametrize(("name", "count"), [("line", 6), ("ring", 7)])
@@ -237,7 +288,7 @@ events = st.lists(
 @example([("forget", 0, 1), ("forget", 1, 1)], 0, 0.0, "line")
 @example([("forget", 0, 1), ("forget", 1, 1)], 0, 0.0, "ring")
 @given(
-    events, st.integers(0, 10**6), st.sampled_from([0.0, 0.3, 0.5]), st.sampled_from(["full", "line", "ring"])
+    events, st.integers(0, 10**6), st.sampled_from([0.0, 0.3, 0.5, 0.7]), st.sampled_from(["full", "line", "ring"])
 )  # fmt: skip
 def test_whatever_happens_all_are_equal_in_the_end(
     events: list[tuple[str, int, int]], seed: int, loss: float, shape: str

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import zlib
+
+import msgspec
 import pytest
 
 from dgorl.measurements import ClockReading
 from dgorl.team.admission import Admission
-from dgorl.team.bundles import Bundle, Sealed
-from dgorl.team.envelope import Reason
+from dgorl.team.bundles import Bundle, Name, Sealed
+from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.gossip import CHUNK, Gossip, Outgoing, Reaction
 from dgorl.team.keys import UNSIGNED, Roster
-from dgorl.team.messages import CHANNEL, Bundles, Digest, Message, Requests, read, write
+from dgorl.team.library import Library
+from dgorl.team.messages import CHANNEL, MOST_INFLATED, Bundles, Digest, Message, Requests, packed, read, write
 from dgorl.team.outbox import BYTES_PER_SECOND
+from dgorl.team.push import Pushes
 from dgorl.team.wire import LIMITS, open_sealed, seal
 
 CONFIGURATION = b"12345678"
@@ -184,6 +189,50 @@ def test_answers_are_bounded_in_rate() -> None:
         for _, payload in (*_receive(machine, request, now).send, *machine.tick(now)):
             total += len(payload)
     assert BYTES_PER_SECOND < total < 12 * BYTES_PER_SECOND + 3 * CHUNK
+
+
+def test_deflated_bundles_are_the_same_and_bounded() -> None:
+    sealed = [seal(Bundle("t", "r1", EPOCH["r1"], k, 0, float(k)), UNSIGNED).data for k in range(20)]
+    head = ("t", "r1", EPOCH["r1"], 1.0, 0, CONFIGURATION)
+    deflated = packed(sealed)
+    assert isinstance(deflated, bytes)
+    assert len(deflated) < sum(map(len, sealed)) / 2
+    assert Bundles(*head, deflated).bundles() == sealed
+    assert packed([b"short"]) == [b"short"], "nothing to win"
+    encode = msgspec.msgpack.encode
+    for bad in (
+        b"",
+        b"no deflate",
+        deflated[:-1],
+        deflated + b"more",
+        zlib.compress(encode([bytes(MOST_INFLATED)])),
+        zlib.compress(encode(["text"])),
+    ):
+        with pytest.raises(Rejected, match="malformed"):
+            Bundles(*head, bad).bundles()
+    machine = Gossip("r2", EPOCH["r2"], ROSTER, UNSIGNED, CONFIGURATION)
+    assert _receive(machine, Bundles(*head, b"no deflate"), 0.0).new == ()
+    assert machine.rejected == {Reason.MALFORMED: 1}
+
+
+def test_what_is_new_and_lacking_is_pushed_first() -> None:
+    library = Library(("r1", EPOCH["r1"]), ROSTER, 180.0, LIMITS)
+    for number in range(40):
+        library.keep(seal(Bundle("t", "r1", EPOCH["r1"], number, 0, number / 2), UNSIGNED), number / 2)
+    names = [Name("r1", EPOCH["r1"], number) for number in range(40)]
+    pushes, now = Pushes(), 20.0
+    first = list(pushes.next(dict.fromkeys(names, 2), library, 0.9, None, now))
+    assert first[:3] == names[:-4:-1]
+    assert list(pushes.next({names[0]: 4, names[-1]: 2}, library, 0.9, names[5], now)) == [
+        names[5],
+        names[-1],
+        names[0],
+    ]
+    for _ in range(30):
+        pushes.sent({names[-1]: b"data"}, 4, now)
+    assert not pushes.next({names[-1]: 2}, library, 0.9, None, now), "sent often enough for now"
+    assert list(pushes.next({names[-1]: 2}, library, 0.9, None, now + 3.0)) == [names[-1]]
+    assert list(pushes.next({names[-1]: 2}, library, 0.9, names[-1], now)) == [names[-1]], "a fresh one in any case"
 
 
 def _receive(machine: Gossip, message: Message, now: float) -> Reaction:

@@ -7,6 +7,7 @@ backwards within an epoch. Everything is broadcast to those who hear, and may ge
 - A neighbour's are relayed if another neighbour does not hear that one; of those who could, one does, in turn.
 - What a digest or a gap in the numbers shows to be missing is asked for, of one holder, then of others.
 - Digests come every 2 s, every 0.5 s while something is missing anywhere or somebody is new.
+- Where most messages get lost, all that is new is sent again and again instead, see ``push``.
 """
 
 from __future__ import annotations
@@ -19,13 +20,15 @@ from typing import NamedTuple
 
 from dgorl.measurements import ClockReading
 from dgorl.team.bundles import Name, Sealed
+from dgorl.team.circle import Circle
 from dgorl.team.envelope import Rejected
 from dgorl.team.gate import Gate
 from dgorl.team.keys import Roster, Signer
 from dgorl.team.library import Library
-from dgorl.team.messages import Bundles, Digest, Key, Message, Requests, flat, unflat, write
-from dgorl.team.neighbours import Neighbour
+from dgorl.team.messages import Bundles, Digest, Key, Message, Requests, flat, packed, unflat, write
 from dgorl.team.outbox import Outbox
+from dgorl.team.push import AT_ONCE as PUSHED_AT_ONCE
+from dgorl.team.push import END, Pushes
 from dgorl.team.ranges import Ranges
 from dgorl.team.rates import Losses
 from dgorl.team.transport import Channel
@@ -59,11 +62,12 @@ ARRIVE = 0.8
 MOST_COPIES = 16
 """... but no more often than this."""
 
-PUSH = 0.6
-"""Where a larger share of the messages gets lost, a digest counts as a request."""
+MEETING, UNMET_EVERY, UNMET_COPIES = 5.0, 0.25, 4
+"""So long [s] after the start a robot that has not heard all others yet sends digests so often [s] and its bundles so
+many times: how much gets lost shows in what is heard."""
 
-SETTLING = 4
-"""The newest bundles of a neighbour's epoch may be on their way still."""
+PUSHED_DIGESTS = 0.15
+"""Time between digests while bundles are pushed [s]."""
 
 
 class Outgoing(NamedTuple):
@@ -103,8 +107,9 @@ class Gossip:
         self._roster, self._signer, self._configuration = roster, signer, configuration
         self._gate = Gate(robot, roster, configuration, limits)
         self._library = Library((robot, epoch), roster, history, limits)
-        self._neighbours: dict[str, Neighbour] = {}
-        self._outbox, self._wants = Outbox(), Wants()
+        self._circle, self._outbox, self._wants, self._pushes = Circle(), Outbox(), Wants(), Pushes()
+        self._neighbours = self._circle.neighbours
+        self._began = float("inf")
         self._random = Random(f"{robot}:{epoch}")
         self._number, self._stamp = 0, -float("inf")
         self._digest_after, self._next_digest = OFTEN, -float("inf")
@@ -124,7 +129,8 @@ class Gossip:
         reading = ClockReading(self.robot, self.epoch, sender, message.epoch, message.stamp, now)
         if not self._library.admission.admitted(message.key):
             return self._from_candidate(message, now)._replace(clocks=(reading,))
-        self._hear(message, now)
+        if self._circle.hear(message, now):
+            self._hasten(now)
         try:
             reaction = self._take(message, now)
         except Rejected as rejected:
@@ -136,10 +142,18 @@ class Gossip:
         """A message of an epoch that is not admitted: only its own bundles are looked at."""
         self._library.admission.heard(message.key, now)
         self._library.admission.candidate(message.key)
-        if isinstance(message, Bundles):
-            for data in message.sealed:
-                self._open(data, message, now)
+        self._circle.call(message, now)
+        for data in self._sealed(message):
+            self._open(data, message, now)
         return self._admit(now)
+
+    def _sealed(self, message: Message) -> list[bytes]:
+        """The sealed bundles in a message."""
+        try:
+            return message.bundles() if isinstance(message, Bundles) else []
+        except Rejected as rejected:
+            self.rejected[rejected.reason] += 1
+            return []
 
     def _take(self, message: Message, now: float) -> Reaction:
         """A message of a neighbour."""
@@ -147,28 +161,17 @@ class Gossip:
         match message:
             case Digest():
                 neighbour.digest(message)
-                lacking = self._lacks(neighbour, now)
-                if lacking:
+                if not self._pushes.on and self._library.beyond(neighbour.holds, now, settled=True):
                     self._hasten(now)
-                if self.loss(now) > PUSH:
-                    self._send_all(lacking, now)
             case Requests():
                 self._answer(message, now)
             case Bundles():
-                new = [sealed for data in message.sealed if (sealed := self._open(data, message, now))]
+                new = [sealed for data in self._sealed(message) if (sealed := self._open(data, message, now))]
                 for sealed in new:
                     self._relay(sealed, message.robot, now)
                 reaction = self._admit(now)
                 return reaction._replace(new=(*new, *reaction.new))
         return Reaction()
-
-    def _hear(self, message: Message, now: float) -> None:
-        """The sender is there, in its current epoch."""
-        neighbour = self._neighbours.get(message.robot)
-        if neighbour is None or neighbour.key != message.key:
-            neighbour = self._neighbours[message.robot] = Neighbour(message.key)
-        if neighbour.hear(message.number, now):
-            self._hasten(now)
 
     def _open(self, data: bytes, message: Message, now: float) -> Sealed | None:
         """One bundle of a message, if it is new and of an admitted epoch; others wait, or are counted."""
@@ -196,20 +199,29 @@ class Gossip:
         """Send a bundle of one's own, which the journal holds already."""
         self._library.keep(sealed, now)
         name = sealed.bundle.name
-        self._outbox.add(name, now, self._copies(now))
+        if self._pushes.on:
+            return self._push(now, name)
+        self._outbox.add(name, now, UNMET_COPIES if self._unmet(now) else self._copies(now))
         return self._bundles(self._outbox.due(now + GATHER), now, at_once=name)
 
     def tick(self, now: float) -> tuple[Outgoing, ...]:
         """What is due; call it ten times a second or more often."""
         out: list[Outgoing] = []
+        self._began = min(self._began, now)
+        if self._pushes.begin(self._circle.loss_of_all(now)):
+            self._outbox.clear()
+            self._hasten(now)
         if now >= self._next_tidy:
             self._next_tidy = now + TIDY_EVERY
             self._library.tidy(now)
+            self._pushes.tidy(now)
         if now >= self._next_ask:
             self._next_ask = now + ASK_EVERY
             out.extend(self._ask(now))
         if now >= self._next_digest:
             out.append(self._digest(now))
+        if self._pushes.due(now):
+            out.extend(self._push(now))
         return (*out, *self._due(now))
 
     def restore(self, bundles: Sequence[Sealed], admitted: Iterable[Key], now: float) -> None:
@@ -230,16 +242,15 @@ class Gossip:
 
     def live(self, now: float) -> frozenset[str]:
         """The robots heard lately, by ourselves."""
-        return frozenset(name for name, neighbour in self._neighbours.items() if neighbour.live(now))
+        return frozenset(self._circle.live(now))
 
     def loss(self, now: float) -> float:
         """Which share of the neighbours' messages does not arrive, on average."""
-        shares = self.losses(now).values()
-        return sum(shares) / len(shares) if shares else 0.0
+        return self._circle.loss(now)
 
     def losses(self, now: float) -> dict[str, float]:
         """... of each neighbour's."""
-        return {robot: n.losses.share for robot, n in self._neighbours.items() if n.live(now)}
+        return self._circle.losses(now)
 
     def holds(self) -> dict[Key, Ranges]:
         """The bundles kept, by robot and epoch."""
@@ -255,7 +266,10 @@ class Gossip:
 
     def _outgoing(self, channel: Channel, message: Message) -> Outgoing:
         self.counts[f"{channel} sent"] += 1
-        return Outgoing(channel, write(message, self._signer))
+        payload = write(message, self._signer)
+        if self._pushes.on:
+            self._outbox.charge(len(payload), message.stamp)
+        return Outgoing(channel, payload)
 
     def _copies(self, now: float) -> int:
         """How often a bundle is sent for a good chance to arrive."""
@@ -270,28 +284,16 @@ class Gossip:
     def _digest(self, now: float) -> Outgoing:
         if self._wants.pressing(now):
             self._digest_after = OFTEN
-        self._next_digest = now + self._digest_after * (0.75 + 0.5 * self._random.random())
+        after = PUSHED_DIGESTS if self._pushes.on else UNMET_EVERY if self._unmet(now) else self._digest_after
+        self._next_digest = now + after * (0.75 + 0.5 * self._random.random())
         self._digest_after = min(SELDOM, 2 * self._digest_after)
         holds = [(*key, flat(kept, DIGEST_INTERVALS)) for key, kept in sorted(self.holds().items())]
         return self._outgoing("digest", Digest(*self._head(now), holds, sorted(self.live(now))))
 
-    def _lacks(self, neighbour: Neighbour, now: float) -> dict[Key, Ranges]:
-        """What is kept here, should have reached a neighbour and is not there."""
-        lacking: dict[Key, Ranges] = {}
-        for key, shelf in self._library.shelves.items():
-            if not shelf.kept or self._library.admission.current(key[0]) != key[1]:
-                continue
-            held = neighbour.holds.get(key, Ranges())
-            on_its_way = shelf.kept.high - (SETTLING if now - shelf.changed < SELDOM else 0)
-            missing = shelf.kept.minus(held).within(held.low, on_its_way)
-            if missing:
-                lacking[key] = missing
-        return lacking
-
     def _ask(self, now: float) -> Iterable[Outgoing]:
         self._wants.refresh(self._missing(now), now)
         eager = min(4, self._copies(now))
-        requests = self._wants.requests(lambda name: self._holders(name, now), eager, now)
+        requests = self._wants.requests(lambda name: self._circle.holders(name, now), eager, now)
         if requests:
             wants = [
                 (robot, [(*key, flat(numbers, DIGEST_INTERVALS)) for key, numbers in wanted.items()])
@@ -302,9 +304,7 @@ class Gossip:
     def _missing(self, now: float) -> dict[Key, Ranges]:
         """What neighbours hold and is not here."""
         missing: dict[Key, Ranges] = {}
-        for neighbour in self._neighbours.values():
-            if not neighbour.live(now):
-                continue
+        for neighbour in self._circle.live(now).values():
             for key, held in neighbour.holds.items():
                 if key[0] not in self._roster:
                     continue
@@ -315,10 +315,10 @@ class Gossip:
                         of_key.add(low, high)
         return missing
 
-    def _holders(self, name: Name, now: float) -> Sequence[str]:
-        return sorted(robot for robot, n in self._neighbours.items() if n.live(now) and n.has(name))
-
     def _answer(self, message: Requests, now: float) -> None:
+        if self._pushes.on:
+            self._pushes.asked(message, self._library, now)
+            return
         for addressee, wanted in message.wants:
             if addressee == self.robot:
                 self._send_all({(robot, epoch): unflat(numbers) for robot, epoch, numbers in wanted}, now)
@@ -336,7 +336,9 @@ class Gossip:
     def _relay(self, sealed: Sealed, sender: str, now: float) -> None:
         """Pass a new bundle on if a neighbour lacks it that does not hear the sender, and it is our turn."""
         name = sealed.bundle.name
-        live = {robot: n for robot, n in self._neighbours.items() if n.live(now)}
+        if self._pushes.on:
+            return
+        live = self._circle.live(now)
         for robot, neighbour in live.items():
             if robot in (sender, name.robot) or sender in neighbour.hears or neighbour.has(name):
                 continue
@@ -345,6 +347,26 @@ class Gossip:
             if able and able[name.sequence % len(able)] == self.robot:
                 self._outbox.add(name, now + GATHER, self._copies(now))
                 return
+
+    def _unmet(self, now: float) -> bool:
+        """Whether the robot has just begun and not heard all others yet."""
+        return now - self._began < MEETING and self._circle.met() < len(self._roster.robots) - 1
+
+    def _push(self, now: float, first: Name | None = None) -> tuple[Outgoing, ...]:
+        """Messages of what neighbours may lack, as many as may be sent; ``first`` in any case."""
+        out: list[Outgoing] = []
+        lacking = self._pushes.lacking(self._library, self._circle, now)
+        for _ in range(PUSHED_AT_ONCE):
+            if first is None and not (self._outbox.allows(now) and self._pushes.allows(now)):
+                break
+            bundles = self._pushes.next(lacking, self._library, max(self.loss(now), END), first, now)
+            if not bundles:
+                break
+            sealed = packed(list(bundles.values()))
+            out.append(self._outgoing("bundles", Bundles(*self._head(now), sealed)))
+            self._pushes.sent(bundles, len(out[-1].payload), now)
+            first = None
+        return tuple(out)
 
     def _due(self, now: float) -> tuple[Outgoing, ...]:
         """Bundles that are due; what nearly is goes with them."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from dgorl.team.admission import Admission
 from dgorl.team.bundles import Name, Sealed
@@ -12,6 +12,9 @@ from dgorl.team.messages import Key
 from dgorl.team.ranges import Ranges
 from dgorl.team.shelf import Shelf
 from dgorl.team.wire import PURPOSE, Limits, content, peek
+
+SETTLING, SETTLED = 4, 2.0
+"""The newest bundles of an epoch may be on their way still, for this long [s] after one came."""
 
 RETAINED = 10.0
 """Bundles are kept this much longer [s] than the history."""
@@ -102,6 +105,22 @@ class Library:
         lacking = held.minus(waiting.numbers if waiting else Ranges())
         lacking.drop_below(held.high - newest + 1)
         return lacking
+
+    def beyond(self, held: Mapping[Key, Ranges], now: float, *, settled: bool = False) -> dict[Key, Ranges]:
+        """What is kept here of the epochs robots live in and not by another, from the lowest it holds on.
+
+        settled: but for the newest, which may be on their way.
+        """
+        beyond: dict[Key, Ranges] = {}
+        for key, shelf in self.shelves.items():
+            if not shelf.kept or self.admission.current(key[0]) != key[1]:
+                continue
+            of_key = held.get(key, Ranges())
+            high = shelf.kept.high - (SETTLING if settled and now - shelf.changed < SETTLED else 0)
+            missing = shelf.kept.minus(of_key).within(of_key.low, high)
+            if missing:
+                beyond[key] = missing
+        return beyond
 
     def _data(self, name: Name) -> bytes | None:
         key = name.robot, name.epoch

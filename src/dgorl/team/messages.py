@@ -6,6 +6,8 @@ from one before it is recognised by the stamp.
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -19,6 +21,9 @@ from dgorl.team.rates import Losses
 from dgorl.team.wire import BITS_64, Text, Whole
 
 HASH_BYTES = 8
+
+MOST_INFLATED = 65_536
+"""Bundles deflated together are at most this much [bytes] when inflated."""
 
 Number = Annotated[int, Meta(ge=0, lt=Losses.MODULUS)]
 Hash = Annotated[bytes, Meta(min_length=HASH_BYTES, max_length=HASH_BYTES)]
@@ -58,16 +63,40 @@ class Requests(Head, frozen=True):
 
     wants: Annotated[list[tuple[Text, Holdings]], Meta(max_length=512)]
 
+    def wanted(self) -> dict[Key, Ranges]:
+        """What it lacks, whoever is asked. Raises Rejected."""
+        wanted: dict[Key, Ranges] = {}
+        for _, holdings in self.wants:
+            for robot, epoch, numbers in holdings:
+                of_epoch = wanted.setdefault((robot, epoch), Ranges())
+                for low, high in unflat(numbers):
+                    of_epoch.add(low, high)
+        return wanted
+
 
 class Bundles(Head, frozen=True):
-    """Sealed bundles, the sender's own or others'."""
+    """Sealed bundles, the sender's own or others'; several may be deflated together, see :func:`packed`."""
 
-    sealed: list[bytes]
+    sealed: list[bytes] | bytes
+
+    def bundles(self) -> list[bytes]:
+        """The sealed bundles, inflated. Raises Rejected."""
+        if isinstance(self.sealed, list):
+            return self.sealed
+        inflate = zlib.decompressobj()
+        try:
+            data = inflate.decompress(self.sealed, MOST_INFLATED)
+        except zlib.error as error:
+            raise Rejected(Reason.MALFORMED, str(error)) from error
+        if not inflate.eof or inflate.unused_data:
+            raise Rejected(Reason.MALFORMED, "deflated bundles that do not end, or more than there may be")
+        return decoded(_lists, data)
 
 
 Message = Digest | Requests | Bundles
 
 CHANNEL: dict[type[Head], str] = {Digest: "digest", Requests: "requests", Bundles: "bundles"}
+_lists = msgspec.msgpack.Decoder(list[bytes])
 _decoders = {channel: msgspec.msgpack.Decoder(kind) for kind, channel in CHANNEL.items()}
 
 
@@ -104,6 +133,14 @@ def read(channel: str, payload: bytes, sender: str, roster: Roster, configuratio
     if not -LARGEST <= message.stamp <= LARGEST or message.epoch >= BITS_64:
         raise Rejected(Reason.MALFORMED, "stamp or epoch that cannot be")
     return Unverified(message, channel, signature, body)  # type: ignore[arg-type]
+
+
+def packed(sealed: Sequence[bytes]) -> list[bytes] | bytes:
+    """Bundles as a message carries them: deflated together where that is shorter."""
+    plain = list(sealed)
+    encoded = msgspec.msgpack.encode(plain)
+    deflated = zlib.compress(encoded) if len(encoded) <= MOST_INFLATED else encoded
+    return deflated if len(deflated) < len(encoded) else plain
 
 
 def flat(ranges: Ranges, newest: int) -> list[int]:

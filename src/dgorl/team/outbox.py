@@ -51,6 +51,10 @@ class Outbox:
         """Whether more may be sent."""
         return self._bucket.level(now) > 0
 
+    def charge(self, bytes_: int, now: float) -> None:
+        """Something else was sent out of the same allowance."""
+        self._bucket.charge(bytes_, now)
+
     def sent(self, name: Name, bytes_: int, now: float) -> None:
         """A bundle is sent; its next copy follows later."""
         self._bucket.charge(bytes_, now)
@@ -60,6 +64,10 @@ class Outbox:
             entry.due = now + REPEAT
             if entry.copies <= 0:
                 del self._entries[name]
+
+    def clear(self) -> None:
+        """Nothing waits any more."""
+        self._entries.clear()
 
     def drop(self, name: Name) -> None:
         """Do not send it: it is not kept any more."""

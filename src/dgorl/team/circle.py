@@ -1,0 +1,68 @@
+"""Who is heard: neighbours, whose epochs are admitted, and callers, whose are not yet; and how much of it gets lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from dgorl.team.bundles import Name
+from dgorl.team.messages import Message
+from dgorl.team.neighbours import Neighbour
+
+
+class Circle:
+    """The robots around one robot, by name."""
+
+    def __init__(self) -> None:
+        self.neighbours: dict[str, Neighbour] = {}
+        self.callers: dict[str, Neighbour] = {}
+
+    def hear(self, message: Message, now: float) -> bool:
+        """A neighbour is there, in its current epoch; True if it is new or was away."""
+        neighbour = self.neighbours.get(message.robot)
+        new = neighbour is None or neighbour.key != message.key
+        if neighbour is None or new:
+            caller = self.callers.pop(message.robot, None)
+            neighbour = caller if caller is not None and caller.key == message.key else Neighbour(message.key)
+            self.neighbours[message.robot] = neighbour
+        return neighbour.hear(message.number, now) or new
+
+    def call(self, message: Message, now: float) -> None:
+        """Somebody is there whose epoch is not admitted."""
+        caller = self.callers.get(message.robot)
+        if caller is None or caller.key != message.key:
+            caller = self.callers[message.robot] = Neighbour(message.key)
+        caller.hear(message.number, now)
+
+    def live(self, now: float) -> dict[str, Neighbour]:
+        """Neighbours heard lately."""
+        return {robot: n for robot, n in self.neighbours.items() if n.live(now)}
+
+    def calling(self, now: float) -> int:
+        """How many callers were heard lately."""
+        return sum(caller.live(now) for caller in self.callers.values())
+
+    def met(self) -> int:
+        """How many robots were heard at all."""
+        return len(self.neighbours.keys() | self.callers.keys())
+
+    def holders(self, name: Name, now: float) -> Sequence[str]:
+        """Neighbours that hold a bundle."""
+        return sorted(robot for robot, n in self.live(now).items() if n.has(name))
+
+    def losses(self, now: float) -> dict[str, float]:
+        """Which share of each neighbour's messages does not arrive."""
+        return {robot: n.losses.share for robot, n in self.live(now).items()}
+
+    def loss(self, now: float) -> float:
+        """... on average."""
+        return _mean(self.losses(now).values())
+
+    def loss_of_all(self, now: float) -> float:
+        """... of callers' messages, too."""
+        calls = (caller.losses.share for caller in self.callers.values() if caller.live(now))
+        return _mean([*self.losses(now).values(), *calls])
+
+
+def _mean(shares: Iterable[float]) -> float:
+    known = list(shares)
+    return sum(known) / len(known) if known else 0.0
