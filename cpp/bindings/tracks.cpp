@@ -149,6 +149,13 @@ void bind_tracks(nb::module_& m) {
       .def("next", &Track::next, "stamp"_a)
       .def("newest", &Track::newest, "stamp"_a)
       .def(
+          "foreseen",
+          [](const Track& track, double stamp, nb::handle motion) {
+            const Matrix3 covariance = track.ahead(stamp, motion_model(motion)).covariance;
+            return to_numpy(std::vector<double>(covariance.data(), covariance.data() + 9), {3, 3});
+          },
+          "stamp"_a, "motion"_a)
+      .def(
           "locate",
           [](const Track& track, double stamp) {
             const Location at = track.locate(stamp);

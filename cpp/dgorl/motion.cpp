@@ -7,8 +7,6 @@
 namespace dgorl {
 namespace {
 
-double square(double x) { return x * x; }
-
 // sin t / t and (1 - cos t) / t, by series near zero.
 Vector2 sinc_terms(double t) {
   if (std::abs(t) < 1e-4) return {1.0 - t * t / 6.0, t / 2.0 - t * t * t / 24.0};
@@ -36,15 +34,11 @@ Matrix3 twist_noise(double age, const MotionModel& m) {
                   square(m.predicted_turn_rate_sigma * age) + square(m.heading_per_second) * age);
 }
 
-Matrix3 limit_noise(double gap, const MotionModel& m) {
-  return diagonal(square(m.maximum_speed * gap), square(std::min(m.maximum_turn_rate * gap, kPi)));
-}
-
-Matrix3 unknown_noise(double duration, const MotionModel& m) {
-  return duration <= kHeld ? twist_noise(duration, m) : limit_noise(duration, m);
-}
-
 }  // namespace
+
+std::int64_t keyframe_before(double stamp) {
+  return static_cast<std::int64_t>(std::floor(stamp * kKeyframesPerSecond));
+}
 
 Pose exp(const Vector3& twist) {
   const Vector2 t = sinc_terms(twist.z());
@@ -92,13 +86,12 @@ Step after(const Step& step, double stamp) {
 
 Step bridge(const Vector3& twist, double start, double end, double origin, const MotionModel& m) {
   const double gap = end - start;
-  const Vector3 delta = gap <= kHeld ? exp(twist * gap).vec() : Vector3::Zero();
-  return {start, end, origin, delta, unknown_noise(gap, m)};
+  if (gap > kHeld) return {start, end, origin, Vector3::Zero(), limit_noise(gap, m)};
+  return {start, end, origin, exp(twist * gap).vec(), twist_noise(gap, m)};
 }
 
-Step predict(const Vector3& twist, double start, double end, const MotionModel& m) {
-  const double age = end - start;
-  return {start, end, start, exp(twist * age).vec(), twist_noise(age, m)};
+Matrix3 limit_noise(double duration, const MotionModel& m) {
+  return diagonal(square(m.maximum_speed * duration), square(std::min(m.maximum_turn_rate * duration, kPi)));
 }
 
 Matrix3 inverse_adjoint(const Pose& d) {

@@ -12,6 +12,10 @@ namespace dgorl {
 constexpr double kKeyframesPerSecond = 2.0;  // keyframes stand at multiples of 0.5 s of the robot's clock
 constexpr double kHeld = 1.0;                // odometry missing for longer [s] is a gap: motion limits alone
 
+constexpr double kRounding = 1e-6;  // odometry nearer than this [s] follows on: the resolution of stamps
+
+inline double square(double x) { return x * x; }
+
 // The settings of dgorl.configuration.Motion, in its order.
 struct MotionModel {
   double linear_scale, angular_scale, lag;
@@ -38,6 +42,9 @@ struct OdometryRow {
                      // stated
 };
 
+// The newest keyframe at or before a stamp.
+std::int64_t keyframe_before(double stamp);
+
 Pose exp(const Vector3& twist);     // pose after one unit of time
 Vector3 log(const Vector3& delta);  // the twist that makes delta in one unit of time
 Vector3 part(const Vector3& delta, double share);
@@ -52,8 +59,8 @@ Step after(const Step& step, double stamp);
 // know the motion limits alone.
 Step bridge(const Vector3& twist, double start, double end, double origin, const MotionModel& model);
 
-// The last twist carried on to a late robot's now, with noise growing with age.
-Step predict(const Vector3& twist, double start, double end, const MotionModel& model);
+// What motion limits say of a time of which nothing else is known.
+Matrix3 limit_noise(double duration, const MotionModel& model);
 
 // Ad(d^-1): moves a right perturbation from before d to after it.
 Matrix3 inverse_adjoint(const Pose& d);

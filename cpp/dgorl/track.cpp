@@ -3,17 +3,17 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
+
+#include "dgorl/forecast.hpp"
 
 namespace dgorl {
 namespace {
 
-constexpr double kRounding = 1e-6;  // odometry nearer than this [s] follows on: the resolution of stamps
 constexpr double kLeastVariance =
     1e-12;  // [m^2, rad^2] keeps the information of odometry without noise finite
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-std::int64_t grid(double stamp) { return static_cast<std::int64_t>(std::floor(stamp * kKeyframesPerSecond)); }
 
 double share_at(const Step& step, double stamp) {
   return std::clamp((stamp - step.start) / (step.end - step.start), 0.0, 1.0);
@@ -21,13 +21,16 @@ double share_at(const Step& step, double stamp) {
 
 }  // namespace
 
-Track::Track(double begin_, std::int64_t epoch_) : begin(begin_), epoch(epoch_), first_(grid(begin_)) {}
+Track::Track(double begin_, std::int64_t epoch_)
+    : begin(begin_), epoch(epoch_), first_(keyframe_before(begin_)) {}
 
 double Track::end() const { return pieces_.empty() ? begin : pieces_.back().step.end; }
 
-Vector3 Track::twist() const {
-  if (pieces_.empty()) return Vector3::Zero();
-  const Step& step = pieces_.back().step;
+Vector3 Track::twist_at(double stamp) const {
+  const auto next = std::lower_bound(pieces_.begin(), pieces_.end(), stamp,
+                                     [](const Piece& p, double t) { return p.step.start < t; });
+  if (next == pieces_.begin()) return Vector3::Zero();
+  const Step& step = std::prev(next)->step;
   return log(step.delta) / (step.end - step.start);
 }
 
@@ -45,12 +48,12 @@ double Track::next(double stamp) const {
 
 std::int64_t Track::newest(double stamp) const {
   const double until = known(stamp);
-  return std::isfinite(until) ? std::max(grid(until), first_) : first_;
+  return std::isfinite(until) ? std::max(keyframe_before(until), first_) : first_;
 }
 
 void Track::append(const Step& step) {
   double start = step.start;
-  for (std::int64_t k = grid(start); start < step.end; ++k) {
+  for (std::int64_t k = keyframe_before(start); start < step.end; ++k) {
     const double border = static_cast<double>(k + 1) / kKeyframesPerSecond;
     const double end = std::min(step.end, border);
     const double share = (end - start) / (step.end - step.start);
@@ -64,10 +67,11 @@ void Track::append(const Step& step) {
     }
     start = end;
   }
+  record_.append(step, step.origin <= step.start + kRounding);
 }
 
 Location Track::locate(double stamp) const {
-  const std::int64_t keyframe = std::max(grid(stamp), first_);
+  const std::int64_t keyframe = std::max(keyframe_before(stamp), first_);
   auto next = std::upper_bound(pieces_.begin(), pieces_.end(), stamp,
                                [](double t, const Piece& p) { return t < p.step.start; });
   if (next == pieces_.begin()) return {keyframe, Pose()};
@@ -86,11 +90,16 @@ Travelled Track::carried(double stamp, const MotionModel& model) const {
     const double share = share_at(piece->step, until);
     sum.append(Pose(part(piece->step.delta, share).data()), piece->step.covariance * share);
   }
-  if (stamp > until) {
-    const Step ahead = predict(twist(), until, stamp, model);
-    sum.append(Pose(ahead.delta.data()), ahead.covariance);
-  }
+  const Travelled foreseen = ahead(stamp, model);
+  sum.append(foreseen.delta, foreseen.covariance);
   return sum;
+}
+
+Travelled Track::ahead(double stamp, const MotionModel& model) const {
+  const double until = std::max(known(stamp), begin);
+  if (stamp <= until) return {};
+  const Vector3 twist = twist_at(until);
+  return forecast(record_.habit(twist, until, stamp, model), twist, stamp - until, model);
 }
 
 void Track::forget(std::int64_t before) {
@@ -108,6 +117,7 @@ void Track::forget(std::int64_t before) {
   pieces_.erase(pieces_.begin(), keep == pieces_.end() ? std::prev(keep) : keep);
   intervals_.erase(intervals_.begin(), intervals_.begin() + (before - first_));
   first_ = before;
+  record_.forget(static_cast<double>(before) / kKeyframesPerSecond);
 }
 
 std::shared_ptr<Track> Track::restarted() const {
@@ -132,7 +142,7 @@ void Trail::extend(const std::vector<OdometryRow>& rows) {
       tracks_.push_back(std::make_shared<Track>(step.start, row.epoch));
       track = tracks_.back().get();
     } else if (begun && gap > kRounding) {
-      track->append(bridge(track->twist(), floor, step.start, step.start, model_));
+      track->append(bridge(track->twist_at(floor), floor, step.start, step.start, model_));
     } else if (begun) {
       step.start = floor;
     }
@@ -153,7 +163,7 @@ void Trail::forget(std::int64_t before) {
   for (const auto& track : kept) track->forget(before);
   tracks_ = std::move(kept);
   // A track that was not cut may still begin earlier, when older odometry comes late.
-  const bool cut = !tracks_.empty() && tracks_.front()->first() > grid(tracks_.front()->begin);
+  const bool cut = !tracks_.empty() && tracks_.front()->first() > keyframe_before(tracks_.front()->begin);
   root_ = cut ? tracks_.front()->restarted() : nullptr;
 }
 

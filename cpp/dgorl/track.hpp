@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "dgorl/motion.hpp"
+#include "dgorl/habit.hpp"
 
 namespace dgorl {
 
@@ -34,7 +34,8 @@ class Track {
   std::int64_t first() const { return first_; }
   std::int64_t last() const { return first_ + static_cast<std::int64_t>(intervals_.size()); }
   double end() const;
-  Vector3 twist() const;
+  // Twist of the odometry up to a stamp, zero before the first.
+  Vector3 twist_at(double stamp) const;
 
   // Until when odometry that began before stamp tells of this track, at most stamp; -infinity if none does.
   double known(double stamp) const;
@@ -49,7 +50,9 @@ class Track {
   void append(const Step& step);
   // Stamps between begin and end.
   Location locate(double stamp) const;
-  // Motion since the newest keyframe to stamp, predicted where odometry has not come yet.
+  // The part of the motion to stamp that odometry has not told of yet: foreseen.
+  Travelled ahead(double stamp, const MotionModel& model) const;
+  // Motion since the newest keyframe to stamp, foreseen where odometry has not come yet.
   Travelled carried(double stamp, const MotionModel& model) const;
   // Drops what lies before a keyframe; the track keeps its name.
   void forget(std::int64_t before);
@@ -67,6 +70,7 @@ class Track {
   std::vector<Piece> pieces_;
   std::vector<KeyframeInterval> intervals_;
   Travelled open_;  // since the last keyframe
+  DriveRecord record_;
 };
 
 // All tracks of one robot, from its odometry in canonical order.

@@ -255,6 +255,8 @@ class Track:
         """Until when odometry that began before ``stamp`` tells of it, at most ``stamp`` [s]; −inf if none does."""
     def next(self, stamp: float) -> float:
         """The first time from ``stamp`` on at which odometry tells more, inf if never; of a gap, its end [s]."""
+    def foreseen(self, stamp: float, motion: _Array) -> _Array:
+        """Covariance (3, 3) of the right perturbation of the motion up to ``stamp`` that odometry has not told of."""
     def newest(self, stamp: float) -> int:
         """The newest keyframe known from odometry that began before ``stamp`` [s]."""
     def locate(self, stamp: float) -> tuple[int, _Array]:

@@ -49,9 +49,9 @@ class Motion:
     maximum_turn_rate: float = 2.0
     """... and turns at most this fast [rad/s]"""
     predicted_speed_sigma: float = 0.2
-    """σ of the speed a late robot is predicted with [m/s]"""
+    """σ of the speed a late robot is predicted with until its own odometry has taught how it drives [m/s]"""
     predicted_turn_rate_sigma: float = 0.5
-    """σ of the turn rate a late robot is predicted with [rad/s]"""
+    """... and of its turn rate [rad/s]"""
     stated_covariance: bool = True
     """take the covariance odometry states of itself, where it does; false: the rates above"""
 

@@ -17,10 +17,14 @@ from dgorl.history import DEFAULT_RANGE_SIGMA, History
 from dgorl.observability_motion import MIRROR, Limits, resolve_by, weak_directions
 from dgorl.radio import relative_sigma
 from dgorl.se2 import Array
+from dgorl.team_state import bent
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track
 
 UNKNOWN = 1e-6
 """Added to information matrices [1/m²]: where nothing is known, little is."""
+
+OWN_LATENESS = 1.0
+"""So late [s] a robot's own odometry may be without a peer being called less well known: it is on its way."""
 
 CRUISE = 0.5
 """Speed of proposed motions where the configuration allows more [m/s]."""
@@ -39,6 +43,23 @@ def joined_status(ego: str, pose: Array, covariance: Array, configuration: Confi
     if heading > limits.heading:
         return Status.POSITION, f"heading 1σ {heading:.0f}° exceeds {limits.heading:.0f}°"
     return Status.TRACKED, ""
+
+
+def own_part(history: History, own: Track, now: float) -> Array | None:
+    """Covariance (3, 3) in the ego's own tangent of its motion up to ``now`` [s] that its odometry has yet to tell.
+
+    None where it has told all, and where it is so late that it may not come.
+    """
+    late = now - own.core.known(now)
+    return own.core.foreseen(now, history.motion) if 0.0 < late <= OWN_LATENESS else None
+
+
+def without_own(pose: Array, covariance: Array, part: Array) -> Array:
+    """Covariance (3, 3) of a peer at pose (3,), as if that part of the ego's motion were known."""
+    moves = np.array([[1.0, 0.0, -pose[1]], [0.0, 1.0, pose[0]], [0.0, 0.0, 1.0]])
+    rest: Array = covariance - moves @ part @ moves.T
+    rest[:2, :2] -= bent(pose[None], part[2, 2])[0]
+    return rest
 
 
 def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:

@@ -33,12 +33,27 @@ class TeamState:
     covariance: Array
     window: Window
     solution: Solution
+    turning: Mapping[TrackKey, float]
+    """variance of how members have turned since their odometry ended, where it ends before ``stamp`` [rad²]"""
 
     def relative(self, ego: TrackKey) -> Mapping[TrackKey, tuple[Array, Array]]:
         """T_ego_j (3,) and its covariance (3, 3) of (x, y, theta) in the ego's frame, for every other member."""
         e = self.members.index(ego)
         poses, covariances = _core.relative(self.poses, self.covariance, e)
+        if ego in self.turning:
+            covariances[:, :2, :2] += bent(poses, self.turning[ego])
         return {key: (poses[j], covariances[j]) for j, key in enumerate(self.members) if j != e}
+
+
+def bent(poses: Array, turning: float) -> Array:
+    """(N, 2, 2): how the arcs on which peers at poses (N, 3) may lie, as the ego may have turned, leave their tangents.
+
+    turning: variance of the ego's heading [rad²]. To first order peers would move on straight lines: with a robot's
+    odometry half a second late that is metres too little. E (1 − cos δ)² p pᵀ.
+    """
+    share = 1.5 - 2.0 * np.exp(-turning / 2) + np.exp(-2.0 * turning) / 2
+    grown: Array = share * poses[:, :2, None] * poses[:, None, :2]
+    return grown
 
 
 def team_state(history: History, component: Component, low: float, now: float) -> TeamState:
@@ -58,10 +73,12 @@ def joint_now(history: History, window: Window, now: float, solve: Callable[[Ind
     solution = solve(last)
     cores = [tracks[key].core for key in members]
     poses, covariance = _core.carry(cores, now, history.motion, solution.poses[last], solution.covariance)
+    late = [key for key in members if tracks[key].core.known(now) < now]
+    turning = {key: float(tracks[key].core.foreseen(now, history.motion)[2, 2]) for key in late}
     if window.world is not None:
         members = (*members, WORLD_KEY)
         poses = np.concatenate([poses, np.zeros((1, 3))])
         grown = np.zeros((3 * len(members), 3 * len(members)))
         grown[:-3, :-3] = covariance
         covariance = grown
-    return TeamState(now, members, poses, covariance, window, solution)
+    return TeamState(now, members, poses, covariance, window, solution, turning)

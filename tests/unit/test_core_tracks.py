@@ -180,17 +180,6 @@ def test_forgetting_inside_a_gap_keeps_what_rebuilds_it(cut: int) -> None:
         np.testing.assert_array_equal(found, expected)
 
 
-def test_a_late_robot_is_predicted_with_growing_noise() -> None:
-    track = trail_of([Odometry("r1", 0, 2, 0.5, 0.2)]).tracks[0]
-    spreads = []
-    for age in (0.0, 0.5, 1.0, 1.001, 5.0):
-        poses, covariance = _core.carry([track], 2 + age, motion_values(MOTION), np.zeros((1, 3)), np.zeros((3, 3)))
-        np.testing.assert_allclose(poses[0], se2.exp(np.array([0.5, 0.0, 0.2]) * age), atol=1e-9)
-        spreads.append(np.sqrt(np.trace(covariance)))
-    assert (np.diff(spreads) > 0).all()
-    assert spreads[3] - spreads[2] < 0.01
-
-
 def test_relative_poses_and_their_covariance() -> None:
     """Against sampling: T_ego_j of jointly perturbed poses."""
     rng = np.random.default_rng(4)
