@@ -94,7 +94,7 @@ def unfit(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKe
     do not fit one another, it is the smaller one.
     """
     body = np.array([next(k for k, keys in enumerate(bodies) if key in keys) for key in window.layout])
-    i, j, square = _squares(window, poses, g)
+    i, j, square = recent_squares(window, poses, g)
     i, j = body[i], body[j]
     between = i != j
     tail = TAIL / len(bodies)
@@ -192,7 +192,7 @@ def _drop(u: Array, q: Array, c: Array) -> Array:
 
 def _rejected(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]]:
     """Every member's sum of clipped squared residuals of the last 5 s without its worst third, and of how many."""
-    i, j, square = _squares(window, poses, g)
+    i, j, square = recent_squares(window, poses, g)
     keyframe = int(np.floor((g - INTERVALS[0]) * KEYFRAMES_PER_SECOND))
     found = []
     for k, key in enumerate(window.layout):
@@ -202,7 +202,7 @@ def _rejected(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int
     return found
 
 
-def _squares(window: Window, poses: Array, g: float) -> tuple[Indices, Indices, Array]:
+def recent_squares(window: Window, poses: Array, g: float) -> tuple[Indices, Indices, Array]:
     """Both members' numbers and the clipped squared residual of every reading of the last 5 s."""
     ends: tuple[list[Indices], list[Indices]] = ([np.zeros(0, np.int64)], [np.zeros(0, np.int64)])
     square = [np.zeros(0)]

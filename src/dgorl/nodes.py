@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 from math import ceil, floor, inf
 
 from dgorl.consistency import Suspect, suspects
+from dgorl.doubts import Doubt
 from dgorl.expansion.beam import retried
-from dgorl.expansion.clusters import advance
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.expansion.step import SPACING, Step
 from dgorl.history import History
 from dgorl.marginal import settled, without
+from dgorl.outcasts import Expansion
 from dgorl.stages import EXPANSION, OPTIMISATION, stage
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Component, alone, extended, grow
@@ -42,6 +43,16 @@ class Node:
     """members that do not fit their component"""
     doubted: Mapping[TrackKey, Component] = field(default_factory=dict)
     """of each of them the component without it since it began not to fit"""
+    doubts: tuple[Doubt, ...] = ()
+    """sets of tracks, joined or not, that fit without one of them alone"""
+    outcasts: Mapping[TrackKey, float] = field(default_factory=dict)
+    """members that lied, and when they last did not fit [s]: the others are located as if there was none of them"""
+
+    @property
+    def inconsistent(self) -> frozenset[TrackKey]:
+        """Who does not fit, joined or not."""
+        liars = {doubt.liar for doubt in self.doubts if doubt.liar is not None}
+        return frozenset(self.suspects) | liars | frozenset(self.outcasts)
 
 
 class Memo:
@@ -132,9 +143,25 @@ class Memo:
                 suspects[seen.key] = seen
                 doubted |= {seen.key: rest} if rest is not None and len(rest.tracks) > 1 else {}
         clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
+        cast = {key: stamp for key, stamp in node.outcasts.items() if key in tracks}
         with stage(EXPANSION):
-            components, clusters = advance(self._history, clusters, found, since, g, boundary)
-        return Node(g, tuple(c for c in components if len(c.stretches) > 1), tuple(clusters), since, suspects, doubted)
+            expansion = Expansion(self._history, g, low, boundary)
+            placed = expansion.placed(found, clusters, node.doubts, cast, since)
+        for doubt in placed.doubts:
+            if doubt.liar is not None and doubt.others is not None and not doubt.tracks & suspects.keys():
+                doubted[doubt.liar] = doubt.others
+        components = tuple(c for c in placed.components if len(c.stretches) > 1)
+        joined = {key for component in components for key in component.tracks}
+        return Node(
+            g,
+            components,
+            placed.clusters,
+            placed.since,
+            {key: seen for key, seen in suspects.items() if key in joined},
+            {key: rest for key, rest in doubted.items() if key in joined},
+            placed.doubts,
+            placed.outcasts,
+        )
 
     def _optimised(
         self,

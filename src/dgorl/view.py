@@ -18,7 +18,7 @@ from dgorl.history import WORLD_KEY, History
 from dgorl.measurements import WORLD
 from dgorl.places import places_of
 from dgorl.se2 import Array
-from dgorl.status import advice, ambiguous_reason, inconsistent, joined_status
+from dgorl.status import advice, ambiguous_reason, inconsistent, joined_status, own_part, without_own
 from dgorl.team_state import TeamState
 from dgorl.tracks import Track, TrackKey
 
@@ -63,6 +63,7 @@ class View:
         self._history, self._team, self._robot, self._now = history, team, robot, now
         self._own = _current(history, robot, now)
         own = self._own.key if self._own is not None else None
+        self._ahead = own_part(history, self._own, now) if self._own is not None else None
         self._state = next((s for s in team.joined if own in s.members), None)
         self._relative: Relative = self._state.relative(own) if self._state is not None and own is not None else {}
         for state in team.doubted:
@@ -85,7 +86,7 @@ class View:
                 peers[name] = self._peer(track)
         if WORLD_KEY in self._relative:
             pose, covariance = self._relative[WORLD_KEY]
-            status, reason = joined_status(self._robot, pose, covariance, history.configuration)
+            status, reason = self._judged(pose, covariance)
             peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
         graph = (self._robot, self._own, self._state, self._relative)
         rejected = dict(history.rejected)
@@ -121,6 +122,9 @@ class View:
                 best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, help_, places
             )
         if any({self._own.key, track.key} <= set(part) for part in self._in_contact):
+            suspect = self._named(track, self._team.suspects)
+            if suspect is not None:
+                return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, *inconsistent(suspect))
             reason = "measurements link us, but too few to tell where it is"
             return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "keep moving within range")
         return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no measurement links us", "come into range")
@@ -134,11 +138,16 @@ class View:
         return self._located(own, track, pose, covariance, age)
 
     def _located(self, own: Track, track: Track, pose: Array, covariance: Array, age: float) -> PeerEstimate:
-        status, reason = joined_status(self._robot, pose, covariance, self._history.configuration)
+        status, reason = self._judged(pose, covariance)
         if status is Status.TRACKED:
             return PeerEstimate(pose, covariance, status, 1.0, age)
         help_ = advice(self._history, own, track, pose, covariance, self._now, False)
         return PeerEstimate(pose, covariance, status, 1.0, age, reason, help_)
+
+    def _judged(self, pose: Array, covariance: Array) -> tuple[Status, str]:
+        """Status of a joined peer and why it is not tracked: by what is not the robot's own lateness."""
+        known = covariance if self._ahead is None else without_own(pose, covariance, self._ahead)
+        return joined_status(self._robot, pose, known, self._history.configuration)
 
     def _named(self, track: Track, keys: frozenset[TrackKey]) -> str | None:
         """Which of a peer and the robot itself is among these."""

@@ -46,5 +46,8 @@ def test_agents_on_machines_of_their_own(ethernet: Ethernet, tmp_path: Path) -> 
         assert [name for name, _ in sorted(parse(said[-1].data))] == list(fleet.log.robots)
         assert all(said[-1].peers[other].status in ("position", "tracked") for other in others)
         assert said[-1].rejected.keys() <= BEGINNING
+        # Not at every tick: a peer is gone after a lease of 3 s without a sign, and TCP, whose pauses double, stalls
+        # for that long when four frames or answers in a row get lost.
+        assert any(set(report.present) == set(others) for report in said), {report.present for report in said}
     found = check(fleet, reports)
     assert (found.robots, found.data, found.estimates) == (fleet.log.robots, True, True), found.differences

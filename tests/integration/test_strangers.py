@@ -88,7 +88,7 @@ def test_a_flood_drowns_no_agent(tmp_path: Path) -> None:
     for robot in others:
         rejected = counted(reports[robot][-1])
         assert rejected.keys() <= {"too fast", "malformed", "bad signature"}
-        assert sum(rejected.values()) > sent / 2
+        assert 1000 < sum(rejected.values()) < sent, "the rest was held up by its own connection"
         assert rejected["too fast"] > 0.9 * sum(rejected.values())
         assert len(reports[robot]) > due / 2
         left = json.loads(fleet.messages(robot).read_text().splitlines()[-1])

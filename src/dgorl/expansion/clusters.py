@@ -29,16 +29,17 @@ def advance(
     since: Mapping[TrackKey, float],
     g: float,
     boundary: float,
+    held: frozenset[TrackKey] = frozenset(),
 ) -> tuple[list[Component], list[Cluster]]:
     """Components and clusters at node g [s]: components joined where two nodes agree, hypotheses about the others.
 
     previous: the clusters of the node before. since: from when on tracks count that were cut off [s]. boundary: where
     the next node's window starts [s]. Those are located, but not joined for one ``history``: they must not
-    bend the others.
+    bend the others; nor are those held: one of them may be a liar.
     """
     if len(components) < 2:
         return list(components), []
-    doubted = {key for key, stamp in since.items() if g - stamp < history.configuration.history}
+    doubted = held | {key for key, stamp in since.items() if g - stamp < history.configuration.history}
     members = {key: k for k, component in enumerate(components) for key in component.tracks}
     step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g, since)
     kept, clusters = list(range(len(components))), []

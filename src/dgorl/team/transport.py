@@ -25,13 +25,17 @@ class Received(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Payload carried so far; ``dropped`` messages found a queue full or could not be sent."""
+    """Payload carried so far; ``dropped`` messages found a queue full or could not be sent.
+
+    refused: came faster than anybody is listened to, and were not looked at.
+    """
 
     sent_messages: int = 0
     sent_bytes: int = 0
     received_messages: int = 0
     received_bytes: int = 0
     dropped: int = 0
+    refused: int = 0
 
 
 class Transport(Protocol):

@@ -11,21 +11,28 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import Lock
+from time import sleep
 from typing import Any
 
 import zenoh
 from zenoh.handlers import Callback
 
 from dgorl.errors import DgorlError
+from dgorl.team.gate import MESSAGES_PER_SECOND
 from dgorl.team.network import Network, zenoh_settings
+from dgorl.team.rates import Bucket
 from dgorl.team.transport import BULLETINS, CHANNELS, GOSSIPED, WATCHED, Received, Traffic
 
 QUEUE = 4096
 """Messages kept between two polls; the newest beyond that are dropped and counted."""
 QUEUE_BYTES = 16 * 2**20
 """... and payload bytes."""
-PRESENT, LONGEST_NAME = 256, 64
-"""So many are noticed at most, whatever strangers pretend, by names of at most so many characters."""
+PRESENT, LONGEST_NAME, LONGEST_KEY = 256, 64, 256
+"""So many are noticed at most, whatever strangers pretend, by names and keys of at most so many characters."""
+RATE, BURST = 2 * MESSAGES_PER_SECOND, 4 * MESSAGES_PER_SECOND
+"""What one sender says beyond this [1/s], and more at once, is not even copied: the gate would let in half of it."""
+BRAKE, EVERY = 0.01, 20
+"""So long [s] the network waits after so many too many: whoever floods us is slowed down by its own connection."""
 
 
 class NetworkError(DgorlError):
@@ -69,6 +76,9 @@ class ZenohTransport:
         self._waiting = 0
         self._present: set[str] = set()
         self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped = 0, 0, 0, 0, 0
+        self._refused, self._excess, self._braking = 0, 0, Lock()
+        self._keys: dict[str, tuple[str, str]] = {}
+        self._rates: dict[str, Bucket] = {}
         self._session = open_session(zenoh_settings(network, robot, folder, watching=watching))
         own = f"dgorl/{team}/{robot}"
         self._publishers: dict[str, zenoh.Publisher] = {
@@ -116,7 +126,9 @@ class ZenohTransport:
     def traffic(self) -> Traffic:
         """Payload carried so far."""
         with self._lock:
-            return Traffic(self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped)
+            return Traffic(
+                self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped, self._refused
+            )
 
     def close(self) -> None:
         """Leave the network; what is sent afterwards is dropped and counted."""
@@ -130,9 +142,14 @@ class ZenohTransport:
         )
 
     def _hear(self, sample: zenoh.Sample) -> None:
+        """Called for every message; one too many costs no more than its key."""
         at = self._clock()
-        sender, channel = _named(sample)
-        if sample.kind != zenoh.SampleKind.PUT or not sender or sender == self._robot:
+        key = str(sample.key_expr)
+        sender, channel = self._keys.get(key) or self._read(key)
+        if not sender or sender == self._robot or not self._rate(sender).take(1.0, at):
+            self._refuse(sender)
+            return
+        if sample.kind != zenoh.SampleKind.PUT:
             return
         size = len(sample.payload)
         with self._lock:
@@ -144,8 +161,35 @@ class ZenohTransport:
             self._received += 1
             self._received_bytes += size
 
+    def _read(self, key: str) -> tuple[str, str]:
+        """Sender and channel of a key; those heard first are remembered."""
+        named = _named(key)
+        if len(self._keys) < PRESENT * len(CHANNELS) and len(key) <= LONGEST_KEY:
+            self._keys[key] = named
+        return named
+
+    def _rate(self, sender: str) -> Bucket:
+        """What a sender may still say; those heard after the first many share one."""
+        bucket = self._rates.get(sender)
+        if bucket is None:
+            sender = sender if len(self._rates) < PRESENT and len(sender) <= LONGEST_NAME else ""
+            bucket = self._rates.setdefault(sender, Bucket(RATE, BURST))
+        return bucket
+
+    def _refuse(self, sender: str) -> None:
+        """Count it, and slow down the connection it came by: one at a time, so that the others go on."""
+        with self._lock:
+            self._refused += sender not in ("", self._robot)
+            self._excess += 1
+            brake = self._excess % EVERY == 0
+        if brake and self._braking.acquire(blocking=False):
+            try:
+                sleep(BRAKE)
+            finally:
+                self._braking.release()
+
     def _notice(self, sample: zenoh.Sample) -> None:
-        robot, _ = _named(sample)
+        robot, _ = _named(str(sample.key_expr))
         if robot == self._robot or not robot:
             return
         with self._lock:
@@ -155,8 +199,7 @@ class ZenohTransport:
                 self._present.add(robot)
 
 
-def _named(sample: zenoh.Sample) -> tuple[str, str]:
+def _named(key: str) -> tuple[str, str]:
     """The last two parts of a sample's key; empty for one with wildcards, which a stranger may use."""
-    key = str(sample.key_expr)
     _, _, robot, what = key.split("/") if "*" not in key else ("",) * 4
     return robot, what
