@@ -14,6 +14,7 @@ import pytest
 from dgorl import Localizer, Team, logs
 from dgorl.configuration import Configuration, as_dict
 from dgorl.estimate import Estimate
+from dgorl.evaluation.records import LOCATED
 from dgorl.logs.log import Log
 from dgorl.measurements import Displacement, Measurement, known_at, robots_of
 from dgorl.replay import replay, start_priors
@@ -189,7 +190,7 @@ def test_a_partition_costs_what_lies_beyond_it_alone(lab: type, log: Log) -> Non
         team.start(robot)
     team.run(20.0)
     last = team.last()
-    assert last["r1"]["r2"].status == "tracked"
+    assert last["r1"]["r2"].status in LOCATED  # of its heading a tick's turn is unknown
     assert last["r1"]["r3"].status == "isolated"
     assert parse(team.reports["r1"][-1].data).keys() == parse(team.reports["r2"][-1].data).keys()
     assert team.reports["r1"][-1].present == ("r2",)

@@ -24,8 +24,8 @@ def test_nine_of_ten_messages_lost(watched):
     good = watched(log, Faults(), 60.0, 30.0)
     bad = watched(log, Faults(seed=0, loss=0.9), 60.0, 30.0)
     assert good.ages[1] <= 0.5
-    assert bad.ages[1] > 2.0
+    assert 0.5 < bad.ages[1] < 3.0
     assert good.age_off < 1e-6
     assert bad.age_off < 1e-6  # an age is that of the newest bundle known
     assert bad.located >= 0.8 * good.located
-    assert bad.inside >= 0.85  # one trial: 0.9 is asked of many
+    assert bad.inside >= 0.9
