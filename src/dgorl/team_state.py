@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from dgorl.optimization.problem import Indices, Solution
 from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, Window, assemble
+
+K = TypeVar("K")
 
 TOLERANCE = 3e-3
 """Largest last step of a tick's optimisation [m, rad]. Convergence is quadratic: the error left is far smaller, and no
@@ -56,6 +59,12 @@ def bent(poses: Array, turning: float) -> Array:
     return grown
 
 
+def turned(cores: Mapping[K, _core.Track], history: History, now: float) -> dict[K, float]:
+    """Variance of how robots have turned since their odometry ended, of those where it ends before ``now`` [rad²]."""
+    late = {key: core for key, core in cores.items() if core.known(now) < now}
+    return {key: float(core.foreseen(now, history.motion)[2, 2]) for key, core in late.items()}
+
+
 def team_state(history: History, component: Component, low: float, now: float) -> TeamState:
     """Optimise a component's window [low, now] and carry every robot on to ``now``.
 
@@ -73,8 +82,7 @@ def joint_now(history: History, window: Window, now: float, solve: Callable[[Ind
     solution = solve(last)
     cores = [tracks[key].core for key in members]
     poses, covariance = _core.carry(cores, now, history.motion, solution.poses[last], solution.covariance)
-    late = [key for key in members if tracks[key].core.known(now) < now]
-    turning = {key: float(tracks[key].core.foreseen(now, history.motion)[2, 2]) for key in late}
+    turning = turned(dict(zip(members, cores, strict=True)), history, now)
     if window.world is not None:
         members = (*members, WORLD_KEY)
         poses = np.concatenate([poses, np.zeros((1, 3))])

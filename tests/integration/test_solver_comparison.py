@@ -30,7 +30,8 @@ def test_same_optimum(table: SolverTable, solver: str) -> None:
     for row in rows:
         assert abs(row.off) < AGREEMENT, row
         assert row.poses == 5 * KEYFRAMES
-        assert row.total_ms >= row.optimise_ms > 0
+        assert row.total_ms > 0  # each from a run of its own: on a busy machine either is the longer
+        assert row.optimise_ms > 0
 
 
 def test_summary_is_of_the_rows(table: SolverTable) -> None:

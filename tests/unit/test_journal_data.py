@@ -55,37 +55,36 @@ def test_bundles_are_admitted_in_order_of_arrival_once():
     first, second = sealed(1, 0.5, 1.0), sealed(0, 0.0, 0.5)
     for bundle in (first, second, first):
         admission.offer(bundle)
-    assert admission.due(1.0) == (first, second)
+    assert admission.due(1.0, takes_late=True) == (first, second)
     admission.offer(second)
-    assert admission.due(1.5) == ()
+    assert admission.due(1.5, takes_late=True) == ()
     assert admission.data == "r2:0000000000000001.0-1"
 
 
 def test_what_tells_of_the_future_waits_for_it():
     admission = Admission(Configuration())
     admission.offer(sealed(0, 0.0, 2.0))
-    assert admission.due(1.9) == ()
+    assert admission.due(1.9, takes_late=True) == ()
     assert admission.data == ""
-    assert len(admission.due(2.0)) == 1
+    assert len(admission.due(2.0, takes_late=True)) == 1
 
 
-def test_what_is_late_waits_whole_for_the_next_node():
+def test_what_is_late_waits_whole_until_it_is_taken():
     admission = Admission(Configuration())
-    admission.due(31.0)  # node 30 is due
     late = sealed(0, 20.0, 21.0, reading=21.6)  # at 31.5 its odometry is late, its range is not
     admission.offer(late)
-    assert [admission.due(now) for now in (31.5, 35.5)] == [(), ()]
-    assert admission.due(36.0) == (late,)
+    assert [admission.due(now, takes_late=False) for now in (31.5, 35.5)] == [(), ()]
+    assert admission.due(36.0, takes_late=True) == (late,)
 
 
 def test_what_is_older_than_the_history_is_refused_whole():
     admission = Admission(Configuration(history=60.0))
     admission.offer(sealed(0, 39.5, 40.5))
-    assert admission.due(100.0) == ()
+    assert admission.due(100.0, takes_late=True) == ()
     assert admission.rejected == {"too late": 1}
     admission.offer(sealed(1, 40.0, 41.0))
-    assert len(admission.due(100.5)) == 0
-    assert len(admission.due(101.0)) == 0
+    assert len(admission.due(100.5, takes_late=True)) == 0
+    assert len(admission.due(101.0, takes_late=True)) == 0
     assert admission.rejected == {"too late": 2}
     assert admission.data == ""
 
@@ -103,7 +102,7 @@ def test_a_localizer_holds_back_nothing_it_is_given(bundles):
             _, k, begin = arrivals[given_]
             admission.offer(sealed(k, begin, begin + 0.5, reading=begin + 0.25))
             given_ += 1
-        due = admission.due(now)
+        due = admission.due(now, takes_late=localizer.team.takes_late(now))
         taken += len(due)
         for bundle in due:
             for measurement in bundle.bundle.measurements:

@@ -28,6 +28,7 @@ from dgorl.history import LATE, History
 from dgorl.measurements import LARGEST, WORLD, Measurement
 from dgorl.se2 import Array
 from dgorl.status import joined_status
+from dgorl.team_state import bent, turned
 from dgorl.tracks import KEYFRAMES_PER_SECOND
 
 COARSE, FINE = 1.0, 0.01
@@ -48,7 +49,7 @@ class SmootherState:
     """Robots that stand in the smoother, carried on to ``stamp`` [s]; the world, without uncertainty, comes last.
 
     poses (n, 3), joint covariance (3n, 3n) of right perturbations. missing: why the others do not.
-    ages: since each robot's last odometry [s].
+    ages: since each robot's last odometry [s]. turning: see TeamState.
     """
 
     stamp: float
@@ -57,6 +58,7 @@ class SmootherState:
     covariance: Array
     missing: Mapping[str, str]
     ages: Mapping[str, float]
+    turning: Mapping[str, float]
 
 
 class FixedLagTeam:
@@ -132,6 +134,8 @@ class FixedLagTeam:
         seen: dict[str, tuple[Array, Array]] = {}
         if robot in state.members:
             poses, covariances = _core.relative(state.poses, state.covariance, state.members.index(robot))
+            if robot in state.turning:
+                covariances[:, :2, :2] += bent(poses, state.turning[robot])
             seen = dict(zip(state.members, zip(poses, covariances, strict=True), strict=True))
         names = sorted({*state.missing, *state.members[:-1]} - {robot})
         for peer in [*names, WORLD] if robot in seen else names:
@@ -195,7 +199,8 @@ class FixedLagTeam:
             cores, newest = [chain.core for chain in chains], np.array([chain.poses[chain.last] for chain in chains])
             joint = self._covariance([chain.keys[chain.last] for chain in chains])
             poses[:-1], covariance[:-3, :-3] = _core.carry(cores, now, self.history.motion, newest, joint)
-        return SmootherState(now, members, poses, covariance, missing, ages)
+        turning = turned({chain.key.robot: chain.core for chain in chains}, self.history, now)
+        return SmootherState(now, members, poses, covariance, missing, ages, turning)
 
     def _covariance(self, keys: list[int]) -> Array:
         """Joint covariance (3n, 3n) of poses in their own tangents, which is GTSAM's convention too."""
