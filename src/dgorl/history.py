@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bisect
 from collections import Counter
+from collections.abc import Iterable
 from math import inf, sqrt
 
 import numpy as np
@@ -205,7 +206,6 @@ class History:
             match m:
                 case Odometry() | Displacement():
                     odometry.setdefault(m.robot, []).append(m)
-                    dirty = min(dirty, m.start + self.configuration.motion.lag)
                 case RelativePose():
                     bisect.insort(self.poses, m, key=_pose_order)
                     dirty = min(dirty, m.stamp)
@@ -216,6 +216,7 @@ class History:
                 self.trails[robot] = Trail(robot, self.configuration.motion, self._silence)
             in_order = self.trails[robot].add(odometry[robot])
             self._number(self.trails[robot])
+            dirty = min(dirty, self._changed(self.trails[robot], odometry[robot]))
             if not in_order:
                 for table in self.tables.values():
                     table.displace(robot)
@@ -224,6 +225,12 @@ class History:
             dirty = min(dirty, table.add(readings[kind]))
             table.place(trails)
         return dirty
+
+    def _changed(self, trail: Trail, odometry: Iterable[Odometry | Displacement]) -> float:
+        """The earliest time [s] at which new rows of a trail tell anything: after they began, or with their track."""
+        begins = {track.key.begin for track in trail.tracks}
+        starts = [m.start + self.configuration.motion.lag for m in odometry]
+        return min(start if start in begins else float(np.nextafter(start, np.inf)) for start in starts)
 
     def _converted(self, m: Rssi | Range | Bearing) -> Reading:
         match m:

@@ -7,7 +7,7 @@ fall between bins.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -88,11 +88,15 @@ class Table:
         """Whether a reading that competes with none is here."""
         if self._slot(reading)[0] != EACH:
             return False
-        order, row = reading.order, self._find(reading.order)
-        if row == len(self) or self._key(row) != order:
+        stamps, values, sigmas = (column.view for column in self._columns[:3])
+        first, last = (int(np.searchsorted(stamps, reading.stamp, side)) for side in ("left", "right"))
+        if first == last:
             return False
-        rivals = sum(best.order == order for _, best in self._best.values())
-        return bisect_right(range(row, len(self)), order, key=self._key) > rivals
+        a, b = (column.view[first:last] for column in self._robots)
+        same = (a == reading.robot_a) & (b == reading.robot_b)
+        same &= (values[first:last] == reading.value) & (sigmas[first:last] == reading.sigma)
+        rivals = sum(best.order == reading.order for _, best in self._best.values()) if same.any() else 0
+        return int(np.count_nonzero(same)) > rivals
 
     def add(self, readings: Sequence[Reading]) -> float:
         """Take readings; the earliest stamp [s] from which rows changed, infinity if none did."""
@@ -194,7 +198,16 @@ class Table:
         self._unplaced.update(range(base, base + count))
         if not in_order:
             first = self._find(readings[0].order, base)
-            self._rearrange(first, sorted(range(first, base + count), key=self._key))
+            self._rearrange(first, self._sorted(first))
+
+    def _sorted(self, first: int) -> list[int]:
+        """The rows from ``first`` on in the order of their keys."""
+        rank = np.zeros(max(self._called, default=-1) + 1, np.int64)
+        rank[sorted(self._called, key=self._called.__getitem__)] = np.arange(len(self._called))
+        stamps, values, sigmas = (column.view[first:] for column in self._columns[:3])
+        a, b = (rank[column.view[first:]] for column in self._robots)
+        rows: list[int] = (first + np.lexsort((sigmas, values, b, a, stamps))).tolist()
+        return rows
 
     def _remove(self, orders: list[Order]) -> None:
         gone = {self._find(order) for order in orders}

@@ -62,6 +62,14 @@ def without_own(pose: Array, covariance: Array, part: Array) -> Array:
     return rest
 
 
+def turned_since(history: History, peer: Track, covariance: Array, now: float) -> bool:
+    """Whether a heading, of covariance (3, 3), is unknown only as the peer has yet to tell its way up to ``now`` [s]."""
+    if peer.core.known(now) >= now:
+        return False
+    rest = covariance[2, 2] - peer.core.foreseen(now, history.motion)[2, 2]
+    return bool(rest <= radians(history.configuration.status.heading) ** 2)
+
+
 def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:
     """Why a peer is not joined, in words that do not change with every tick."""
     if motion == "still":

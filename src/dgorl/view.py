@@ -18,7 +18,15 @@ from dgorl.history import WORLD_KEY, History
 from dgorl.measurements import WORLD
 from dgorl.places import places_of
 from dgorl.se2 import Array
-from dgorl.status import advice, ambiguous_reason, inconsistent, joined_status, own_part, without_own
+from dgorl.status import (
+    advice,
+    ambiguous_reason,
+    inconsistent,
+    joined_status,
+    own_part,
+    turned_since,
+    without_own,
+)
 from dgorl.team_state import TeamState
 from dgorl.tracks import Track, TrackKey
 
@@ -141,6 +149,10 @@ class View:
         status, reason = self._judged(pose, covariance)
         if status is Status.TRACKED:
             return PeerEstimate(pose, covariance, status, 1.0, age)
+        if status is Status.POSITION and turned_since(self._history, track, covariance, self._now):
+            return PeerEstimate(
+                pose, covariance, status, 1.0, age, f"{reason}: it may have turned since", "wait for its odometry"
+            )
         help_ = advice(self._history, own, track, pose, covariance, self._now, False)
         return PeerEstimate(pose, covariance, status, 1.0, age, reason, help_)
 
