@@ -189,7 +189,8 @@ def among_others(scene: Scene) -> Iterator[Measured]:
 
 
 def _others(scene: Scene, at: float) -> None:
-    """The rest of the team, until they are ended."""
+    """The rest of the team, until they are ended. They would have computers of their own: the agent goes first."""
+    os.nice(10)
     fleet = scene.fleet()
     team, pace = TeamFile.read(fleet.folder / "team.yaml"), fleet.pace(ROBOT, at)
     tellers, rows = [], {}

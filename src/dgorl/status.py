@@ -63,7 +63,7 @@ def without_own(pose: Array, covariance: Array, part: Array) -> Array:
 
 
 def turned_since(history: History, peer: Track, covariance: Array, now: float) -> bool:
-    """Whether a heading, of covariance (3, 3), is unknown only as the peer has yet to tell its way up to ``now`` [s]."""
+    """Whether a heading, of covariance (3, 3), is unknown only as the peer has yet to tell its way to ``now`` [s]."""
     if peer.core.known(now) >= now:
         return False
     rest = covariance[2, 2] - peer.core.foreseen(now, history.motion)[2, 2]

@@ -33,12 +33,12 @@ from dgorl.team.zenoh_transport import ZenohTransport
 
 BACKWARDS = 1.0
 """A clock that is behind the journal's last tick by more than this [s] was set back."""
-LOOK = 0.02
+LOOK = 0.03
 """The network is looked at this often [s] ..."""
 LEAST = 0.002
 """... in fast fleets more often, but no oftener than this [s]."""
 
-GRACE = 0.005
+GRACE = 0.003
 """A tick is computed this much later [s], when the robot's own measurements up to it have come."""
 
 log = logging.getLogger("dgorl.agent")
@@ -141,6 +141,7 @@ class _Process:
                 report = agent.step(min(now, end), parts=True)
                 if report is not None:
                     self._tell(report)
+                    self.stop.wait(LEAST)  # what is told is written by another thread
                     agent.rest()
                 ended = now >= end and agent.due > end
             else:
