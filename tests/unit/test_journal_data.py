@@ -77,6 +77,21 @@ def test_what_is_late_waits_whole_until_it_is_taken():
     assert admission.due(36.0, takes_late=True) == (late,)
 
 
+def test_what_comes_in_late_goes_together_when_no_more_comes():
+    admission = Admission(Configuration())
+    admission.due(29.5, takes_late=True)
+    late = [sealed(k, 10.0 + k, 11.0 + k) for k in range(9)]
+    taken = []
+    for k in range(9):  # for two seconds, and on
+        admission.offer(late[k])
+        taken.append(len(admission.due(30.0 + 0.5 * k, takes_late=True)))
+    assert taken == [0, 0, 0, 0, 5, 0, 0, 0, 0]
+    assert admission.due(34.5, takes_late=False) == ()
+    assert admission.due(35.0, takes_late=True) == tuple(late[5:])
+    admission.offer(sealed(9, 34.0, 34.5))
+    assert len(admission.due(35.5, takes_late=True)) == 1  # in time
+
+
 def test_what_is_older_than_the_history_is_refused_whole():
     admission = Admission(Configuration(history=60.0))
     admission.offer(sealed(0, 39.5, 40.5))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from math import inf
 
 from dgorl.configuration import Configuration
 from dgorl.history import LATE
@@ -10,6 +11,9 @@ from dgorl.measurements import Displacement, Odometry, known_at
 from dgorl.team.bundles import Bundle, Sealed
 from dgorl.team.journal_data import ranges
 from dgorl.team.ranges import Ranges
+
+PATIENCE = 2.0
+"""What comes in late goes together: it waits until no more comes, at most so long [s]. Each time is a rewind."""
 
 
 class Admission:
@@ -24,6 +28,7 @@ class Admission:
         self._shared = configuration.clock == "shared"
         self._history = configuration.history
         self._waiting: list[Sealed] = []
+        self._late_before, self._late_since = inf, inf  # what is there at the start goes at once
         self._admitted: dict[tuple[str, int], Ranges] = {}
 
     @property
@@ -40,6 +45,9 @@ class Admission:
 
         takes_late: whether it would admit what is later than 10 s.
         """
+        takes_late = self._stopped(now) and takes_late
+        if takes_late:
+            self._late_before, self._late_since = 0, inf
         taken, waiting = [], []
         for sealed in self._waiting:
             if self._shared and self._waits(sealed.bundle, now, takes_late):
@@ -51,16 +59,28 @@ class Admission:
         self._waiting = waiting
         return tuple(taken)
 
+    def _stopped(self, now: float) -> bool:
+        """Whether no more late bundles came since the last tick, or they have come for long."""
+        late = sum(_lateness(sealed.bundle, now) > LATE for sealed in self._waiting)
+        self._late_since = min(self._late_since, now) if late else inf
+        before, self._late_before = self._late_before, late
+        return late <= before or now - self._late_since >= PATIENCE
+
     def _waits(self, bundle: Bundle, now: float, takes_late: bool) -> bool:
         """For its time to come, or, late, for a tick that takes it (METHOD §1)."""
-        stamps = [known_at(m) for m in bundle.measurements]
-        return max(stamps, default=now) > now or (now - min(stamps, default=now) > LATE and not takes_late)
+        latest = max((known_at(m) for m in bundle.measurements), default=now)
+        return latest > now or (_lateness(bundle, now) > LATE and not takes_late)
 
     def _is_new(self, bundle: Bundle) -> bool:
         numbers = self._admitted.setdefault((bundle.robot, bundle.epoch), Ranges())
         new = bundle.sequence not in numbers
         numbers.add(bundle.sequence)
         return new
+
+
+def _lateness(bundle: Bundle, now: float) -> float:
+    """How late the row is that was known first [s]."""
+    return now - min((known_at(m) for m in bundle.measurements), default=now)
 
 
 def _since(bundle: Bundle, now: float) -> float:
