@@ -18,7 +18,7 @@ AGAIN = 0.6
 PER_BUNDLE = 0.004
 """... and this [s] for each bundle asked for at once."""
 
-AT_ONCE = 128
+AT_ONCE = 256
 """So many bundles are asked for at once, the newest first; of an epoch no more than these are looked at."""
 
 BLOCK = 16
