@@ -159,13 +159,13 @@ class Agent:
 
     def estimate(self, now: float, *, final: bool = False) -> Report:
         """Admit what came and estimate at ``now`` [s]; journal both."""
-        self._admit(now)
+        self._admit(now, final=final)
         return self._report(now, final=final)
 
-    def _admit(self, now: float) -> None:
+    def _admit(self, now: float, *, final: bool = False) -> None:
         """Let in what came by ``now`` [s], the stamp of a tick, and journal that."""
         began = time.process_time()
-        admitted = self._admission.due(now, takes_late=self._localizer.team.takes_late(now))
+        admitted = self._admission.due(now, takes_late=self._localizer.team.takes_late(now), final=final)
         for sealed in admitted:
             self._give(sealed.bundle)
         self.journal.tick(now, admitted)

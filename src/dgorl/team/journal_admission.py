@@ -40,17 +40,20 @@ class Admission:
         """Take a bundle, own or received; twice without harm."""
         self._waiting.append(sealed)
 
-    def due(self, now: float, *, takes_late: bool) -> tuple[Sealed, ...]:
+    def due(self, now: float, *, takes_late: bool, final: bool = False) -> tuple[Sealed, ...]:
         """What to give the Localizer before it is updated at ``now`` [s], in order of arrival.
 
-        takes_late: whether it would admit what is later than 10 s.
+        takes_late: whether it would admit what is later than 10 s. final: there is no later tick to wait for.
         """
-        takes_late = self._stopped(now) and takes_late
+        late = [s for s in self._waiting if _lateness(s.bundle, now) > LATE]
+        stopped = self._stopped(len(late), now) or final
+        filling = set() if stopped else {_origin(sealed.bundle) for sealed in late}
+        takes_late = stopped and takes_late
         if takes_late:
             self._late_before, self._late_since = 0, inf
         taken, waiting = [], []
         for sealed in self._waiting:
-            if self._shared and self._waits(sealed.bundle, now, takes_late):
+            if self._shared and (_origin(sealed.bundle) in filling or self._waits(sealed.bundle, now, takes_late)):
                 waiting.append(sealed)
             elif self._shared and now - _since(sealed.bundle, now) > self._history:
                 self.rejected["too late"] += 1
@@ -59,9 +62,11 @@ class Admission:
         self._waiting = waiting
         return tuple(taken)
 
-    def _stopped(self, now: float) -> bool:
-        """Whether no more late bundles came since the last tick, or they have come for long."""
-        late = sum(_lateness(sealed.bundle, now) > LATE for sealed in self._waiting)
+    def _stopped(self, late: int, now: float) -> bool:
+        """Whether of late bundles, ``late`` in number, no more came since the last tick, or they have come for long.
+
+        Until then what is newer of these robots waits, too: with a gap in its way a robot has to be found anew.
+        """
         self._late_since = min(self._late_since, now) if late else inf
         before, self._late_before = self._late_before, late
         return late <= before or now - self._late_since >= PATIENCE
@@ -72,10 +77,14 @@ class Admission:
         return latest > now or (_lateness(bundle, now) > LATE and not takes_late)
 
     def _is_new(self, bundle: Bundle) -> bool:
-        numbers = self._admitted.setdefault((bundle.robot, bundle.epoch), Ranges())
+        numbers = self._admitted.setdefault(_origin(bundle), Ranges())
         new = bundle.sequence not in numbers
         numbers.add(bundle.sequence)
         return new
+
+
+def _origin(bundle: Bundle) -> tuple[str, int]:
+    return bundle.robot, bundle.epoch
 
 
 def _lateness(bundle: Bundle, now: float) -> float:
