@@ -317,4 +317,4 @@ def test_whatever_happens_all_are_equal_in_the_end(
         network.start(gone, journal=disk)
     network.change(replace(network.faults, partitions=()))
     network.run(5.0)
-    assert network.until_equal(30.0) < 30.0
+    assert network.until_equal(60.0) < 60.0

@@ -293,7 +293,8 @@ class Gossip:
     def _ask(self, now: float) -> Iterable[Outgoing]:
         self._wants.refresh(self._missing(now), now)
         eager = min(4, self._copies(now))
-        requests = self._wants.requests(lambda name: self._circle.holders(name, now), eager, now)
+        again = ASK_EVERY if self._pushes.on else None
+        requests = self._wants.requests(lambda name: self._circle.holders(name, now), eager, now, again)
         if requests:
             wants = [
                 (robot, [(*key, flat(numbers, DIGEST_INTERVALS)) for key, numbers in wanted.items()])

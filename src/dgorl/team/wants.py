@@ -51,17 +51,21 @@ class Wants:
         return any(want.asked or want.due <= now for want in self._wants.values())
 
     def requests(
-        self, holders: Callable[[Name], Sequence[str]], eager: int, now: float
+        self, holders: Callable[[Name], Sequence[str]], eager: int, now: float, again: float | None = None
     ) -> dict[str, dict[Key, Ranges]]:
-        """Whom to ask for what: one holder each, more of them after failures; ``eager``: how many at first."""
+        """Whom to ask for what: one holder each, more of them after failures; ``eager``: how many at first.
+
+        again: repeat what is not answered after this [s] instead of AGAIN and PER_BUNDLE.
+        """
         on_their_way = sum(want.due > now and want.asked > 0 for want in self._wants.values())
         due = [(want.asked, -name.sequence, name) for name, want in self._wants.items() if want.due <= now]
         requests: dict[str, dict[Key, Ranges]] = {}
         chosen = sorted(due)[: max(0, AT_ONCE - on_their_way)]
+        again = AGAIN + PER_BUNDLE * len(chosen) if again is None else again
         for asked, _, name in chosen:
             known = holders(name)
             want = self._wants[name]
-            want.due, want.asked = now + AGAIN + PER_BUNDLE * len(chosen), asked + 1
+            want.due, want.asked = now + again, asked + 1
             first = name.sequence // BLOCK + asked
             for k in range(min(len(known), eager + asked // 2)):
                 of_robot = requests.setdefault(known[(first + k) % len(known)], {})
