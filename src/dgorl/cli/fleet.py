@@ -13,15 +13,16 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from math import isfinite, nan
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
 from dgorl import logs
-from dgorl.cli.parsing import File, LogPath, Names, Seconds, Seed, Window
-from dgorl.cli.run import Kind, window_of
+from dgorl.cli.estimation import EstimationOptions
+from dgorl.cli.parsing import LogPath, Names, Seconds
 from dgorl.cli.session import Session, kinds_in
 from dgorl.cli.table import show
 from dgorl.configuration import Configuration, nearest
@@ -40,8 +41,8 @@ from dgorl.team.fleet import Event, Fleet, run
 Share = Annotated[float, arg(metavar="SHARE", help_behavior_hint="")]
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(EstimationOptions):
     """What ``dgorl fleet`` can be told. Times are the log's."""
 
     out: Annotated[Path, arg(metavar="DIR")]
@@ -77,26 +78,6 @@ class Options:
     """NAME=S: its clock is ahead by this"""
     clock_drift: Names = ()
     """NAME=PPM: its clock is fast by this"""
-    initial: Literal["known", "unknown"] = "unknown"
-    """unknown finds out where everybody is; known takes the log's start poses, good to 0.05 m and 1°"""
-    measurements: Annotated[tuple[Kind, ...], arg(help_behavior_hint="")] = ()
-    """use these alone; all in the log when not given"""
-    window: Window = None
-    """length of the window that is optimised, a multiple of 5 s (default: 30)"""
-    history: Seconds = None
-    """measurements later than this are too late (default: 180)"""
-    candidates: Annotated[int | None, arg(metavar="K", help_behavior_hint="")] = None
-    """places kept in mind for each robot not yet found (default: 5)"""
-    period: Seconds = None
-    """time between two ticks (default: 0.5)"""
-    truth: File = None
-    """a groundtruth.csv (t,robot,x,y,theta) to score against, in place of the log's"""
-    config: File = None
-    """YAML settings, over the log's own, under the command line's; see `dgorl config`"""
-    seed: Seed = None
-    """of everything drawn by chance (default: 0)"""
-    json: bool = False
-    """put the summary on stdout as one JSON object"""
 
 
 def main(options: Options) -> None:
@@ -114,10 +95,7 @@ def main(options: Options) -> None:
 def fleet_of(options: Options) -> Fleet:
     """The team that is to run. Raises DgorlError."""
     log = _log(options)
-    changes = {n: getattr(options, n) for n in ("history", "candidates", "period", "seed")}
-    changes = {name: value for name, value in changes.items() if value is not None}
-    if options.window is not None:
-        changes["window"] = window_of(options.window)
+    changes = options.settings()
     if options.clock_offset or options.clock_drift:
         changes["clock"] = "estimated"
     configuration = Session(log, options.config, changes, options.initial, (), options.out).configuration()
@@ -188,28 +166,21 @@ def _log(options: Options) -> Log:
         log = simulate(dataclasses.replace(options.simulation, seed=seed))
     else:
         log = logs.read(options.log)
-    if options.measurements:
-        log = logs.select(log, options.measurements)
+    log = options.of(log)
     if options.duration is not None:
         end = min(map(known_at, log.measurements)) + options.duration
         log = dataclasses.replace(log, measurements=tuple(m for m in log.measurements if known_at(m) <= end))
     if not log.measurements:
         raise DgorlError(f"{log.path}: nothing to localise: it holds no measurements, or none in this time")
-    if options.truth is not None:
-        log = dataclasses.replace(log, truth=logs.read_truth(options.truth, log.robots))
     return log
 
 
 def _faults(options: Options, log: Log, configuration: Configuration) -> FaultFile | None:
-    delay = re.fullmatch(r"(?P<low>[\d.]+)(-(?P<high>[\d.]+))?", options.delay)
-    if delay is None:
-        raise ConfigurationError(f"command line: delay must be like 0.1 or 0.1-0.5, got {options.delay!r}")
-    low = float(delay["low"])
     faults = FaultFile(
         robots=log.robots,
         seed=configuration.seed,
         loss=_share(options.loss, "loss"),
-        delay=(low, float(delay["high"] or low)),
+        delay=_span(options.delay, "delay"),
         duplicate=_share(options.duplicate, "duplicate"),
         reorder=_share(options.reorder, "reorder"),
         partitions=tuple(_partition(text, log.robots) for text in options.partition),
@@ -219,13 +190,23 @@ def _faults(options: Options, log: Log, configuration: Configuration) -> FaultFi
 
 
 def _partition(text: str, robots: Sequence[str]) -> Parted:
-    match = re.fullmatch(r"(?P<groups>.+):(?P<start>[\d.]+)-(?P<end>[\d.]+)", text)
-    if match is None:
+    names, _, times = text.rpartition(":")
+    groups = tuple(tuple(group.split(",")) for group in names.split("|"))
+    if len(groups) < 2:
         raise ConfigurationError(f"command line: partition must be like A,B|C,D:10-20, got {text!r}")
-    groups = tuple(tuple(group.split(",")) for group in match["groups"].split("|"))
     for robot in (name for group in groups for name in group):
         _known(robot, robots, "partition")
-    return Parted(groups, float(match["start"]), float(match["end"]))
+    return Parted(groups, *_span(times, "partition"))
+
+
+def _span(text: str, option: str) -> tuple[float, float]:
+    """FROM-TO, or one number for both."""
+    number = r"\d+\.?\d*|\.\d+"
+    match = re.fullmatch(rf"({number})(?:-({number}))?", text)
+    low, high = (float(match[1]), float(match[2] or match[1])) if match else (1.0, 0.0)
+    if low > high:
+        raise ConfigurationError(f"command line: {option} needs seconds like 0.1-0.5, the smaller first, got {text!r}")
+    return low, high
 
 
 def _events(options: Options, log: Log) -> tuple[Event, ...]:
@@ -254,9 +235,12 @@ def _numbers(texts: Sequence[str], option: str, robots: Sequence[str]) -> list[t
 
 def _number(text: str, option: str, whole: str) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise ConfigurationError(f"command line: {option} must end in a number, got {whole!r}") from None
+        number = nan
+    if not isfinite(number):
+        raise ConfigurationError(f"command line: {option} must end in a number, got {whole!r}")
+    return number
 
 
 def _known(robot: str, robots: Sequence[str], option: str) -> None:
