@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from hashlib import blake2b
+from random import Random
 
 import numpy as np
 import pytest
@@ -94,6 +95,43 @@ def test_nine_of_ten_lost_from_robot_to_robot() -> None:
     network = started(4, Faults(loss=0.9, reaches=reaches), seed=1)
     network.run(60.0)
     assert np.quantile(delays(network, 30.0), 0.9) <= 4.0
+
+
+def sent_per_second(network: Network, seconds: float) -> float:
+    """What a robot sends on average [bytes/s]."""
+    before = sum(robot.air.traffic.sent_bytes for robot in network.robots.values())
+    network.run(seconds)
+    after = sum(robot.air.traffic.sent_bytes for robot in network.robots.values())
+    return (after - before) / seconds / len(network.robots)
+
+
+def test_nine_of_ten_lost_to_one_robot_alone() -> None:
+    dice = Random(1)
+
+    def reaches(sender: str, receiver: str, now: float) -> bool:
+        return "r5" not in (sender, receiver) or dice.random() < 0.1
+
+    network = started(5, Faults(reaches=reaches))
+    network.run(60.0)
+    assert np.quantile(delays(network, 15.0), 0.95) <= 3.0
+    assert sent_per_second(network, 10.0) <= 25_000.0
+    network.change(Faults())
+    network.run(20.0)
+    assert sent_per_second(network, 10.0) <= 2000.0
+
+
+def test_bad_links_beside_good_ones_do_not_matter() -> None:
+    """Robots in a line hear the next but one now and then: what they miss of it comes through the next."""
+    dice, names = Random(1), [f"r{k + 1}" for k in range(5)]
+
+    def reaches(sender: str, receiver: str, now: float) -> bool:
+        apart = abs(names.index(sender) - names.index(receiver))
+        return apart == 1 or (apart == 2 and dice.random() < 0.1)
+
+    network = started(5, Faults(reaches=reaches))
+    network.run(30.0)
+    assert sent_per_second(network, 30.0) <= 4000.0
+    assert np.quantile(delays(network, 10.0), 0.9) <= 1.0
 
 
 def test_a_latecomer_gets_the_history_where_nine_of_ten_are_lost() -> None:

@@ -169,17 +169,19 @@ def test_bytes_on_the_wire_are_the_kernels(tmp_path: Path) -> None:
     try:
         other = ZenohTransport("lab", "r2", network, time.monotonic, tmp_path)
         count = WireBytes()
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 60.0
         while not (listening.present() and other.present()):
             assert time.monotonic() < deadline
             time.sleep(0.01)
         descriptors = len(list(Path("/proc/self/fd").iterdir()))
         before = count()
-        for _ in range(10):
-            other.send("bundles", bytes(10_000))
-        while listening.traffic.received_messages < 10:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        for number in range(10):  # what a busy machine drops under congestion never reaches the wire: once more
+            while listening.traffic.received_messages == number:
+                assert time.monotonic() < deadline
+                other.send("bundles", bytes(10_000))
+                again = time.monotonic() + 2.0
+                while listening.traffic.received_messages == number and time.monotonic() < again:
+                    time.sleep(0.01)
         after = count()
         assert before is not None
         assert after is not None

@@ -16,7 +16,7 @@ from dgorl.team.keys import UNSIGNED, Roster
 from dgorl.team.library import Library
 from dgorl.team.messages import CHANNEL, MOST_INFLATED, Bundles, Digest, Message, Requests, packed, read, write
 from dgorl.team.outbox import BYTES_PER_SECOND
-from dgorl.team.push import Pushes
+from dgorl.team.push import NOBODY, Lackers, Pushes
 from dgorl.team.wire import LIMITS, open_sealed, seal
 
 CONFIGURATION = b"12345678"
@@ -221,18 +221,23 @@ def test_what_is_new_and_lacking_is_pushed_first() -> None:
         library.keep(seal(Bundle("t", "r1", EPOCH["r1"], number, 0, number / 2), UNSIGNED), number / 2)
     names = [Name("r1", EPOCH["r1"], number) for number in range(40)]
     pushes, now = Pushes(), 20.0
-    first = list(pushes.next(dict.fromkeys(names, 2), library, 0.9, None, now))
+    one, two, four = (Lackers(robots, 0.9) for robots in (1, 2, 4))
+    first = list(pushes.next(dict.fromkeys(names, two), library, None, now))
     assert first[:3] == names[:-4:-1]
-    assert list(pushes.next({names[0]: 4, names[-1]: 2}, library, 0.9, names[5], now)) == [
+    assert list(pushes.next({names[0]: four, names[-1]: two}, library, names[5], now)) == [
         names[5],
         names[-1],
         names[0],
     ]
     for _ in range(30):
         pushes.sent({names[-1]: b"data"}, 4, now)
-    assert not pushes.next({names[-1]: 2}, library, 0.9, None, now), "sent often enough for now"
-    assert list(pushes.next({names[-1]: 2}, library, 0.9, None, now + 3.0)) == [names[-1]]
-    assert list(pushes.next({names[-1]: 2}, library, 0.9, names[-1], now)) == [names[-1]], "a fresh one in any case"
+    assert not pushes.next({names[-1]: two}, library, None, now), "sent often enough for now"
+    assert list(pushes.next({names[-1]: two}, library, None, now + 3.0)) == [names[-1]]
+    assert list(pushes.next({names[-1]: two}, library, names[-1], now)) == [names[-1]], "a fresh one in any case"
+    for _ in range(3):
+        pushes.sent({names[20]: b"data"}, 4, now)
+    assert list(pushes.next({names[20]: one}, library, None, now)) == [names[20]], "more often where most get lost"
+    assert not pushes.next({names[20]: NOBODY.and_one(0.9).and_one(0.1)}, library, None, now)
 
 
 def _receive(machine: Gossip, message: Message, now: float) -> Reaction:

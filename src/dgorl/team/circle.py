@@ -8,6 +8,9 @@ from dgorl.team.bundles import Name
 from dgorl.team.messages import Message
 from dgorl.team.neighbours import Neighbour
 
+WELL = 0.5
+"""Who loses no more than this share of a neighbour's messages hears it well."""
+
 
 class Circle:
     """The robots around one robot, by name."""
@@ -37,9 +40,13 @@ class Circle:
         """Neighbours heard lately."""
         return {robot: n for robot, n in self.neighbours.items() if n.live(now)}
 
-    def calling(self, now: float) -> int:
-        """How many callers were heard lately."""
-        return sum(caller.live(now) for caller in self.callers.values())
+    def heard_well(self, now: float) -> list[str]:
+        """Neighbours of whose messages most arrive: what others say need not be passed on to them alone."""
+        return sorted(robot for robot, n in self.live(now).items() if n.losses.share <= WELL)
+
+    def calling(self, now: float) -> list[Neighbour]:
+        """Callers heard lately."""
+        return [caller for caller in self.callers.values() if caller.live(now)]
 
     def met(self) -> int:
         """How many robots were heard at all."""
@@ -57,10 +64,11 @@ class Circle:
         """... on average."""
         return _mean(self.losses(now).values())
 
-    def loss_of_all(self, now: float) -> float:
-        """... of callers' messages, too."""
-        calls = (caller.losses.share for caller in self.callers.values() if caller.live(now))
-        return _mean([*self.losses(now).values(), *calls])
+    def loss_to_bear(self, now: float) -> float:
+        """... of callers' messages, too; or to the worst heard of those that are behind, if that is more."""
+        live, calling = self.live(now).values(), self.calling(now)
+        behind = (neighbour.losses.share for neighbour in live if neighbour.behind(now))
+        return max(_mean(neighbour.losses.share for neighbour in [*live, *calling]), *behind, 0.0)
 
 
 def _mean(shares: Iterable[float]) -> float:

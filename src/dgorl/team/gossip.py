@@ -7,7 +7,7 @@ backwards within an epoch. Everything is broadcast to those who hear, and may ge
 - A neighbour's are relayed if another neighbour does not hear that one; of those who could, one does, in turn.
 - What a digest or a gap in the numbers shows to be missing is asked for, of one holder, then of others.
 - Digests come every 2 s, every 0.5 s while something is missing anywhere or somebody is new.
-- Where most messages get lost, all that is new is sent again and again instead, see ``push``.
+- Where most messages get lost, if only to one neighbour, what it lacks is sent again and again instead, see ``push``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from dgorl.team.library import Library
 from dgorl.team.messages import Bundles, Digest, Key, Message, Requests, flat, packed, unflat, write
 from dgorl.team.outbox import Outbox
 from dgorl.team.push import AT_ONCE as PUSHED_AT_ONCE
-from dgorl.team.push import END, Pushes
+from dgorl.team.push import Pushes
 from dgorl.team.ranges import Ranges
 from dgorl.team.rates import Losses
 from dgorl.team.transport import Channel
@@ -161,8 +161,10 @@ class Gossip:
         match message:
             case Digest():
                 neighbour.digest(message)
-                if not self._pushes.on and self._library.beyond(neighbour.holds, now, settled=True):
-                    self._hasten(now)
+                if self._library.beyond(neighbour.holds, now, settled=True):
+                    neighbour.lags(now)
+                    if not self._pushes.on:
+                        self._hasten(now)
             case Requests():
                 self._answer(message, now)
             case Bundles():
@@ -208,7 +210,7 @@ class Gossip:
         """What is due; call it ten times a second or more often."""
         out: list[Outgoing] = []
         self._began = min(self._began, now)
-        if self._pushes.begin(self._circle.loss_of_all(now)):
+        if self._pushes.begin(self._circle.loss_to_bear(now)):
             self._outbox.clear()
             self._hasten(now)
         if now >= self._next_tidy:
@@ -288,7 +290,7 @@ class Gossip:
         self._next_digest = now + after * (0.75 + 0.5 * self._random.random())
         self._digest_after = min(SELDOM, 2 * self._digest_after)
         holds = [(*key, flat(kept, DIGEST_INTERVALS)) for key, kept in sorted(self.holds().items())]
-        return self._outgoing("digest", Digest(*self._head(now), holds, sorted(self.live(now))))
+        return self._outgoing("digest", Digest(*self._head(now), holds, self._circle.heard_well(now)))
 
     def _ask(self, now: float) -> Iterable[Outgoing]:
         self._wants.refresh(self._missing(now), now)
@@ -360,7 +362,7 @@ class Gossip:
         for _ in range(PUSHED_AT_ONCE):
             if first is None and not (self._outbox.allows(now) and self._pushes.allows(now)):
                 break
-            bundles = self._pushes.next(lacking, self._library, max(self.loss(now), END), first, now)
+            bundles = self._pushes.next(lacking, self._library, first, now)
             if not bundles:
                 break
             sealed = packed(list(bundles.values()))

@@ -13,6 +13,9 @@ from dgorl.team.rates import Losses
 LIVE = 6.0
 """Who was not heard for this long [s] is away."""
 
+LAGS = 15.0
+"""Who lacked what had settled counts as behind for this long [s]."""
+
 LATEST = 5.0
 """What a sender stamped this much [s] before its newest message is too late."""
 
@@ -33,6 +36,7 @@ class Neighbour:
         self.hears: frozenset[str] = frozenset()
         self.holds: dict[Key, Ranges] = {}
         self.losses = Losses()
+        self._lagged = -float("inf")
 
     def live(self, now: float) -> bool:
         """Whether it was heard lately."""
@@ -46,6 +50,14 @@ class Neighbour:
         self.losses.count(number)
         self.heard = max(self.heard, now)
         return back
+
+    def lags(self, now: float) -> None:
+        """It just told that it lacks what others have long had."""
+        self._lagged = now
+
+    def behind(self, now: float) -> bool:
+        """Whether it lacked such things lately."""
+        return now - self._lagged < LAGS
 
     def digest(self, digest: Digest) -> None:
         """Take what it says it holds. Raises Rejected if that is nothing a robot can hold."""

@@ -1,5 +1,7 @@
 """Where most messages get lost: all that is new again and again, in many small messages, and nobody need ask.
 
+On all links, or to one neighbour that is behind for it.
+
 Where nine of ten messages are lost, a request and its answer both pass one time in a hundred, one of twenty copies
 seven times in eight. So every robot repeats what it holds, its own and the others', as often as it may. What goes
 first is what most neighbours lack, as far as is known, what is newest, and what was sent least often lately.
@@ -7,9 +9,9 @@ first is what most neighbours lack, as far as is known, what is newest, and what
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from math import exp
+from typing import NamedTuple
 
 from dgorl.team.bundles import Name
 from dgorl.team.circle import Circle
@@ -53,6 +55,20 @@ REST = 0.3
 """A bundle rests when its last copies all got lost with less than this probability; others send theirs, too."""
 
 
+class Lackers(NamedTuple):
+    """How many robots lack a bundle; loss: which share of the messages to them gets lost, on average."""
+
+    robots: int
+    loss: float
+
+    def and_one(self, loss: float) -> Lackers:
+        """One more."""
+        return Lackers(self.robots + 1, (self.robots * self.loss + loss) / (self.robots + 1))
+
+
+NOBODY = Lackers(0, 0.0)
+
+
 class Pushes:
     """Whether to push, what was pushed lately, and what is next."""
 
@@ -90,32 +106,33 @@ class Pushes:
         )
         self._asked[message.robot] = now, wanted
 
-    def lacking(self, library: Library, circle: Circle, now: float) -> Counter[Name]:
-        """How many of those who hear may lack a bundle kept here."""
-        lacking: Counter[Name] = Counter()
+    def lacking(self, library: Library, circle: Circle, now: float) -> dict[Name, Lackers]:
+        """Who of those who hear may lack what is kept here."""
+        lacking: dict[Name, Lackers] = {}
         for robot, neighbour in circle.live(now).items():
             at, asked = self._asked.get(robot, (now, frozenset[Name]()))
             lacks = {name for name in asked if now - at < ASKED and not neighbour.has(name)}
             for key, missing in library.beyond(neighbour.holds, now).items():
                 if key != neighbour.key:
                     lacks.update(Name(*key, number) for number in missing.newest(LOOKED_AT))
-            lacking.update(lacks)
-        calling = circle.calling(now)
-        if calling:
+            for name in lacks:
+                lacking[name] = lacking.get(name, NOBODY).and_one(neighbour.losses.share)
+        for caller in circle.calling(now):
             for number in library.shelves[library.own].kept.newest(TOLD):
-                lacking[Name(*library.own, number)] += calling
+                name = Name(*library.own, number)
+                lacking[name] = lacking.get(name, NOBODY).and_one(caller.losses.share)
         return lacking
 
     def next(
-        self, lacking: Mapping[Name, int], library: Library, loss: float, first: Name | None, now: float
+        self, lacking: Mapping[Name, Lackers], library: Library, first: Name | None, now: float
     ) -> dict[Name, bytes]:
-        """Bundles for one message, ``first`` the first; loss: the share of messages lost."""
+        """Bundles for one message, ``first`` the first."""
         worth: list[tuple[float, Name]] = []
-        for name, count in lacking.items():
-            lost = loss ** self._lately(name, now)
+        for name, lackers in lacking.items():
+            lost = max(lackers.loss, END) ** self._lately(name, now)
             if lost >= REST and name != first:
                 before = library.shelves[name.robot, name.epoch].kept.high - name.sequence
-                worth.append((-count * lost * AGES / (AGES + before), name))
+                worth.append((-lackers.robots * lost * AGES / (AGES + before), name))
         chosen: dict[Name, bytes] = {}
         space = PAYLOAD / self._ratio
         for name in ([] if first is None else [first]) + [name for _, name in sorted(worth)]:
