@@ -91,7 +91,7 @@ def agent_process(folder: Path, robot: str, source: BinaryIO, sink: BinaryIO, tr
 
     keep_small()
     team, key = TeamFile.read(folder / "team.yaml"), load_key(folder / f"{robot}.key")
-    zenoh = ZenohTransport(team.team, robot, Network(multicast=False), time.monotonic, folder)
+    zenoh = ZenohTransport(team.team, robot, Network(multicast=False), time.monotonic, folder, team.roster.robots)
     pipe = Pipe(deque(), [])
     journal = Journal.open(
         folder / f"{robot}.journal",

@@ -200,7 +200,7 @@ def _others(scene: Scene, at: float) -> None:
         key, epoch = load_key(fleet.folder / f"{robot}.key"), Random(robot).getrandbits(64)
         gossip = Gossip(robot, epoch, team.roster, key, team.configuration_hash)
         bundler = Bundler(team.team, robot, epoch, substep=team.substep)
-        network = ZenohTransport(team.team, robot, team.transport, pace.now, fleet.folder)
+        network = ZenohTransport(team.team, robot, team.transport, pace.now, fleet.folder, team.roster.robots)
         tellers.append((robot, Teller(bundler, gossip, key, network, fleet.configuration.period)))  # type: ignore[arg-type]
         rows[robot] = deque(sorted((m for m in fleet.log.measurements if author(m) == robot), key=known_at))
     while True:

@@ -367,6 +367,30 @@ def test_what_the_disk_refuses_is_not_sent_yet(lab: type, log: Log, monkeypatch:
     assert_alike(team, 25.0)
 
 
+def test_what_the_disk_refuses_for_longer_than_the_history_is_let_go(
+    lab: type, log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    team = lab(log, history=10.0)
+    for robot in log.robots:
+        team.start(robot)
+    team.run(2.0)
+
+    def full(*_: object) -> None:
+        raise JournalError("r1.journal: cannot be written: disk full")
+
+    agent = team.agents["r1"]
+    with monkeypatch.context() as patch:
+        patch.setattr(agent.journal, "commit_own", full)
+        team.run(18.0)
+        assert len(agent._unsent) <= 21
+        assert team.reports["r1"][-1].rejected["not committed in time"] >= 10
+    before = agent.transport.traffic.sent_messages
+    team.run(18.6)
+    assert agent.transport.traffic.sent_messages - before < 20, "no burst that others reject"
+    team.end(20.0)
+    assert len(team.data) == 1
+
+
 def test_clocks_that_differ(lab: type, log: Log) -> None:
     """With `clock: estimated` agents whose clocks are seconds apart place one another."""
     team = lab(log, clock="estimated")

@@ -17,11 +17,12 @@ from dgorl.measurements import ClockReading, Odometry
 from dgorl.team.admission import CANDIDATES, WAITING
 from dgorl.team.bundles import Bundle, track_epoch
 from dgorl.team.envelope import Reason
+from dgorl.team.faults import Faults, Partition
 from dgorl.team.gate import MESSAGES_PER_SECOND
 from dgorl.team.gossip import Gossip, Outgoing, Reaction
 from dgorl.team.keys import Key, Roster, generate
 from dgorl.team.messages import Bundles, Digest, Requests, write
-from dgorl.team.wire import LIMITS, seal
+from dgorl.team.wire import LIMITS, NUMBERS, seal
 
 from ..fuzz.mutations import mutations, overheard, told
 from ..team_network import CONFIGURATION, TEAM, Network, Robot
@@ -336,6 +337,32 @@ def test_two_bundles_of_one_name(network: Network) -> None:
     assert r1.gossip.rejected == {Reason.CONFLICT: 1}
 
 
+@pytest.mark.parametrize("number", [NUMBERS, 2**62, 2**63, 2**64 - 1])
+def test_numbers_too_large_for_journal_and_digest(network: Network, number: int) -> None:
+    key = network.keys["r2"]
+    payload = write(Bundles(*head(network), [seal(a_bundle(network, number=number), key).data]), key)
+    assert network.robots["r1"].gossip.receive("bundles", "r2", payload, network.now).new == ()
+    assert network.robots["r1"].gossip.rejected == {Reason.MALFORMED: 1}
+
+
+def test_lies_of_what_one_holds_hide_nothing_and_use_up_no_numbers(network: Network) -> None:
+    key, r3 = network.keys["r2"], network.robots["r3"]
+    groups = frozenset({"r1"}), frozenset({"r2", "r3"})
+    network.change(Faults(partitions=(Partition(groups, 0.0, 1e9),)))
+    network.run(12.0)
+    network.change(Faults())
+    for lies in range(1, 41):
+        network.run(0.5)
+        stamp = network.now + 0.01
+        claims = [("r3", r3.epoch, [0, 10**6 * lies, 2**51, 2**52])]
+        lie = write(Digest(*head(network, stamp=stamp), claims, ["r1", "r3"]), key)
+        for name in ("r1", "r3"):
+            network.robots[name].gossip.receive("digest", "r2", lie, stamp)
+    assert r3.gossip.next_sequence < 1000
+    lacking = r3.known - network.robots["r1"].known
+    assert all(name.sequence >= r3.gossip.next_sequence - 4 for name in lacking), "the newest may be on their way"
+
+
 def test_nonsense_of_a_member_is_bounded(network: Network) -> None:
     """Endless numbers, bundles it has not, epochs without end."""
     r1, key, random = network.robots["r1"], network.keys["r2"], Random(4)
@@ -343,9 +370,9 @@ def test_nonsense_of_a_member_is_bounded(network: Network) -> None:
         stamp = network.now + 0.05 * k
         epoch = network.robots["r2"].epoch if k % 2 else random.getrandbits(64)
         first = head(network, epoch=epoch, stamp=stamp)
-        claims = [("r3", random.getrandbits(64), [0, 2**61]) for _ in range(3)] + [("r7", 1, [0, 5])]
+        claims = [("r3", random.getrandbits(64), [0, 2**52]) for _ in range(3)] + [("r7", 1, [0, 5])]
         r1.gossip.receive("digest", "r2", write(Digest(*first, claims, ["r1", "r99"]), key), stamp)
-        bundle = Bundle(TEAM, "r2", epoch, random.getrandbits(61), 0, stamp)
+        bundle = Bundle(TEAM, "r2", epoch, random.getrandbits(53), 0, stamp)
         r1.gossip.receive("bundles", "r2", write(Bundles(*first, [seal(bundle, key).data]), key), stamp)
         for out in r1.gossip.tick(stamp):
             assert len(out.payload) <= LIMITS.message

@@ -165,9 +165,9 @@ def test_paces_there_and_back() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="counts as the Linux kernel does")
 def test_bytes_on_the_wire_are_the_kernels(tmp_path: Path) -> None:
     network = Network({"r1": f"tcp/127.0.0.1:{free_port()}"}, multicast=False)
-    listening = ZenohTransport("lab", "r1", network, time.monotonic, tmp_path)
+    listening = ZenohTransport("lab", "r1", network, time.monotonic, tmp_path, ("r1", "r2"))
     try:
-        other = ZenohTransport("lab", "r2", network, time.monotonic, tmp_path)
+        other = ZenohTransport("lab", "r2", network, time.monotonic, tmp_path, ("r1", "r2"))
         count = WireBytes()
         deadline = time.monotonic() + 60.0
         while not (listening.present() and other.present()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -9,7 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from dgorl.cli.watch_table import tables
 from dgorl.findings import Finding, Level
 from dgorl.logs.log import Log
 from dgorl.measurements import Odometry
@@ -306,3 +309,18 @@ def test_clocks_that_cannot_be_placed_are_named(lab: type) -> None:
 def test_knocking() -> None:
     assert knocked("udp/127.0.0.1:1").endswith("cannot be tried")
     assert knocked("tcp/127.0.0.1:1") == "tcp/127.0.0.1:1: the machine is there, no agent listens"
+
+
+def test_a_peer_whose_name_is_markup_is_shown_as_it_is() -> None:
+    said = {
+        "s_ago": 0.1, "sent_bytes_per_s": 1.0, "loss": {},
+        "peers": {"[/]": {"status": "isolated", "pose": None, "position_sigma_m": None, "heading_sigma_deg": None,
+                          "age_s": None}},
+    }  # fmt: skip
+    robot = {
+        "says": said, "clock": {"ahead_s": None}, "same_team_file": True, "heard_s_ago": 0.1, "present": True,
+        "rejected_here": {},
+    }  # fmt: skip
+    console = Console(record=True, width=100, file=io.StringIO())
+    console.print(tables({"team": "lab", "robots": {"r1": robot}, "strangers": []}, None))
+    assert "[/]" in console.export_text()

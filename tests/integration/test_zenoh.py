@@ -17,13 +17,14 @@ from dgorl.errors import ConfigurationError
 from dgorl.team.network import Network, Tls
 from dgorl.team.team_file import TeamFile
 from dgorl.team.transport import Received
-from dgorl.team.zenoh_transport import NetworkError, ZenohTransport, open_session
+from dgorl.team.zenoh_transport import BURST, PRESENT, RATE, NetworkError, ZenohTransport, open_session
 
 from . import certificates
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "networks"
 QUIET = 0.3
 """Long enough on loopback for anything that comes to have come [s]."""
+ROBOTS = ("r1", "r2", "r3", "r4", "r5")
 Join = Callable[..., ZenohTransport]
 
 
@@ -33,7 +34,7 @@ def join() -> Iterator[Join]:
     with ExitStack() as stack:
 
         def enter(robot: str, network: Network, folder: Path = Path(), clock: Callable[[], float] = time.monotonic):
-            transport = ZenohTransport("lab", robot, network, clock, folder)
+            transport = ZenohTransport("lab", robot, network, clock, folder, ROBOTS)
             stack.callback(transport.close)
             return transport
 
@@ -277,6 +278,26 @@ def test_strange_messages_are_not_the_teams(join: Join) -> None:
         assert told(robot)[-1] == ("bundles", "r2", b"well formed")
         time.sleep(QUIET)
     assert robot.poll() == []
+
+
+def test_many_names_of_strangers_take_nothing_from_the_team(join: Join) -> None:
+    network = Network(addresses("r1"), multicast=False)
+    robot = join("r1", network)
+    settings = {"mode": "client", "connect/endpoints": [network.addresses["r1"]]}
+    with open_session(settings) as stranger:
+        tokens = [stranger.liveliness().declare_token(f"dgorl/lab/x{k}/alive") for k in range(2 * PRESENT)]
+        for k in range(1000):
+            stranger.put(f"dgorl/lab/x{k}/bundles", b"whoever")
+        other = join("r2", network)
+        assert until(lambda: "r2" in robot.present())
+        assert len(robot.present()) <= PRESENT + len(ROBOTS)
+        assert until(lambda: other.present())
+        for k in range(50):
+            other.send("bundles", b"%d" % k)
+        heard: list[Received] = []
+        assert until(lambda: heard.extend(robot.poll()) or sum(m.sender == "r2" for m in heard) == 50)
+        assert sum(m.sender != "r2" for m in heard) <= BURST + 10 * RATE
+        assert tokens
 
 
 def test_a_port_in_use_is_said_in_one_line(join: Join) -> None:

@@ -13,7 +13,7 @@ from dgorl.team.network import Network, Tls, zenoh_settings
 from dgorl.team.zenoh_transport import ZenohTransport, open_session
 
 from . import certificates
-from .test_zenoh import QUIET, addresses, free_port, told, until
+from .test_zenoh import QUIET, ROBOTS, addresses, free_port, told, until
 
 Join = Callable[..., ZenohTransport]
 
@@ -23,7 +23,7 @@ def join() -> Iterator[Join]:
     with ExitStack() as stack:
 
         def enter(robot: str, network: Network, folder: Path = Path(), *, watching: bool = False) -> ZenohTransport:
-            transport = ZenohTransport("lab", robot, network, time.monotonic, folder, watching=watching)
+            transport = ZenohTransport("lab", robot, network, time.monotonic, folder, ROBOTS, watching=watching)
             stack.callback(transport.close)
             return transport
 

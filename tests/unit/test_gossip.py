@@ -10,6 +10,7 @@ import pytest
 from dgorl.measurements import ClockReading
 from dgorl.team.admission import Admission
 from dgorl.team.bundles import Bundle, Name, Sealed
+from dgorl.team.circle import Circle
 from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.gossip import CHUNK, Gossip, Outgoing, Reaction
 from dgorl.team.keys import UNSIGNED, Roster
@@ -238,6 +239,35 @@ def test_what_is_new_and_lacking_is_pushed_first() -> None:
         pushes.sent({names[20]: b"data"}, 4, now)
     assert list(pushes.next({names[20]: one}, library, None, now)) == [names[20]], "more often where most get lost"
     assert not pushes.next({names[20]: NOBODY.and_one(0.9).and_one(0.1)}, library, None, now)
+
+
+def test_what_was_asked_for_has_its_turn_among_what_is_pushed() -> None:
+    key = "r1", EPOCH["r1"]
+    library = Library(key, ROSTER, 180.0, LIMITS)
+    for number in range(400):
+        library.keep(seal(Bundle("t", *key, number, 0, number / 2), UNSIGNED), number / 2)
+    lacking = {Name(*key, number): Lackers(9, 0.9) for number in range(380, 400)}
+    old = {Name(*key, number): Lackers(1, 0.9, asked=True) for number in (50, 51, 300)}
+    pushes, first = Pushes(), []
+    for k in range(8):
+        chosen = pushes.next(lacking | old, library, None, 200.0 + k)
+        first.append(next(iter(chosen)).sequence)
+        pushes.sent(dict.fromkeys(chosen, b"data"), 400, 200.0 + k)
+    assert sum(number < 380 for number in first) == 2, "one in four"
+    assert first[0] == 50, "the oldest"
+
+
+def test_who_asked_for_an_epoch_that_is_forgotten_gets_nothing_of_it() -> None:
+    library, pushes, circle, key = Library(("r1", EPOCH["r1"]), ROSTER, 180.0, LIMITS), Pushes(), Circle(), ("r2", 7)
+    library._let_in(key)
+    library.keep(seal(Bundle("t", *key, 0, 0, 1.0), UNSIGNED), 1.0)
+    request = Requests("t", "r3", EPOCH["r3"], 1.0, 0, CONFIGURATION, [("r1", [(*key, [0, 0])])])
+    circle.hear(request, 1.0)
+    pushes.asked(request, library, 1.0)
+    assert set(pushes.lacking(library, circle, 1.0)) == {Name(*key, 0)}
+    for epoch in range(100, 100 + Admission.KEPT):
+        library._let_in(("r2", epoch))
+    assert pushes.lacking(library, circle, 1.0) == {}
 
 
 def _receive(machine: Gossip, message: Message, now: float) -> Reaction:

@@ -118,7 +118,7 @@ def test_outbox_repeats_and_stops() -> None:
 def test_wants_ask_one_then_others_the_newest_first() -> None:
     wants, key = Wants(), ("r9", 7)
     missing = {key: Ranges([(0, 2 * AT_ONCE)])}
-    wants.refresh(missing, now=0.0)
+    wants.refresh([missing], now=0.0)
     assert not wants.pressing(GRACE / 2)
     assert wants.requests(lambda name: ["a", "b"], 1, GRACE / 2) == {}
     first = wants.requests(lambda name: ["a", "b"], 1, GRACE)
@@ -130,8 +130,29 @@ def test_wants_ask_one_then_others_the_newest_first() -> None:
     assert 2 * AT_ONCE in again["a"][key] or 2 * AT_ONCE in again["b"][key]
     one_of = next(robot for robot, of in first.items() if 2 * AT_ONCE in of[key])
     assert 2 * AT_ONCE not in again.get(one_of, {}).get(key, Ranges()), "another one is asked now"
-    wants.refresh({}, now=10.0)
+    wants.refresh([], now=10.0)
     assert wants.requests(lambda name: ["a"], 1, 20.0) == {}
+
+
+def test_a_lie_hides_nothing_that_another_holds() -> None:
+    wants, key = Wants(), ("r9", 7)
+    for k in range(1, 9):  # numbers nobody holds, new ones every time
+        lie, truth = Ranges([(k * 10**6, k * 10**6 + 2 * AT_ONCE)]), Ranges([(10, 19)])
+        wants.refresh([{key: lie}, {key: truth}], now=k * GRACE)
+        asked = wants.requests(lambda name: ["b"] if name.sequence < 20 else ["a"], 1, (k + 1) * GRACE)
+        if "b" in asked:
+            assert numbers(asked["b"][key]) == set(range(10, 20))
+            return
+    raise AssertionError("never asked for")
+
+
+def test_requests_that_stand_name_one_holder_each_at_every_look() -> None:
+    wants, key = Wants(), ("r9", 7)
+    wants.refresh([{key: Ranges([(0, 40)])}], now=0.0)
+    for k in range(20):
+        asked = wants.standing(lambda name: ["a", "b", "c"], GRACE + 0.25 * k)
+        assert sum(of[key].count() for of in asked.values()) == 41
+    assert set(asked) == {"a", "b", "c"}
 
 
 def test_stamps_know_what_was_heard() -> None:

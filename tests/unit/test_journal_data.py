@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from dgorl import Localizer, Odometry, Range
 from dgorl.configuration import Configuration
 from dgorl.team.bundles import Bundle, Name, Sealed
-from dgorl.team.journal_admission import Admission
+from dgorl.team.journal_admission import EARLY, Admission
 from dgorl.team.journal_data import held, parse, ranges
 from dgorl.team.journal_schema import JournalError
 
@@ -126,3 +126,21 @@ def test_a_localizer_holds_back_nothing_it_is_given(bundles):
         assert not localizer.team.history._inbox
         assert not localizer.team.history.rejected
     assert taken + admission.rejected["too late"] == len(bundles)
+
+
+def test_a_clock_that_is_ahead_costs_others_nothing():
+    """What is stamped far ahead waits apart; when its time comes it counts like any other."""
+
+    def told(number: int, stamp: float) -> Sealed:
+        row = Range("r1", "r2", stamp, 3.0)
+        return Sealed(b"", Bundle("t", "r2", 7, number, 0, stamp, (row,)))
+
+    admission = Admission(Configuration())
+    for number in range(EARLY + 100):
+        admission.offer(told(number, 10_000.0 + number))
+    assert admission.due(1.0, takes_late=True) == ()
+    assert not admission._waiting
+    assert admission.rejected == {"ahead of the clock": 100}
+    assert admission.due(10_099.5, takes_late=True) == ()
+    (first,) = admission.due(10_100.0, takes_late=True)
+    assert first.bundle.sequence == 100, "the newest were kept"

@@ -86,7 +86,7 @@ def _add(table: Table, name: str, robot: Mapping[str, Any]) -> None:
         x, y, theta = seen["pose"] or (None, None, None)
         table.add_row(
             *head,
-            peer,
+            Text(peer),
             Text(seen["status"], style=COLORS.get(seen["status"], "")),
             _number(x, 1),
             _number(y, 1),

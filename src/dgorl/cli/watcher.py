@@ -22,7 +22,9 @@ class Watcher:
     def __init__(self, team: TeamFile, name: str) -> None:
         self.team, self.watch = team, Watch(team.roster)
         self._wall = time.time() - time.monotonic()
-        self.network = ZenohTransport(team.team, name, team.transport, self.now, team.path.parent, watching=True)
+        self.network = ZenohTransport(
+            team.team, name, team.transport, self.now, team.path.parent, team.roster.robots, watching=True
+        )
 
     def now(self) -> float:
         """The wall clock as it was at the beginning, whatever happens to it [s]."""

@@ -33,6 +33,8 @@ from dgorl.team_time import team_on
 BAD_LINE = "bad line"
 LINE_REPEATED = 80
 """So much of a bad line is repeated in the answer to it."""
+AT_ONCE = 8
+"""So many own bundles are sent at once when the disk takes them again; the earlier ones follow in their turn."""
 
 
 class Agent:
@@ -68,7 +70,7 @@ class Agent:
         )
         self._bulletins = Bulletins(team.team, robot, journal.epoch, team.configuration_hash, signer)
         self._rejected: Counter[str] = Counter()
-        self._unsent: list[Sealed] = []
+        self._unsent: deque[Sealed] = deque()
         self._bundles = 0
         self._tick = floor(now / configuration.period)
         self._estimating: float | None = None
@@ -144,6 +146,9 @@ class Agent:
         self._bundler.sequence = max(self._bundler.sequence, self._gossip.next_sequence)
         for bundle in self._bundler.cut(until):
             self._unsent.append(seal(bundle, self._signer))
+        while self._unsent and self._unsent[0].bundle.cut < until - self.team.configuration.history:
+            self._unsent.popleft()
+            self._rejected["not committed in time"] += 1
         if not self._unsent:
             return
         try:
@@ -152,10 +157,13 @@ class Agent:
             self._trouble(error)
             return
         self._bundles += len(self._unsent)
-        for sealed in self._unsent:
+        while self._unsent:
+            sealed = self._unsent.popleft()
             self._admission.offer(sealed)
-            self._send(self._gossip.publish(sealed, now))
-        self._unsent.clear()
+            if len(self._unsent) < AT_ONCE:
+                self._send(self._gossip.publish(sealed, now))
+            else:
+                self._gossip.hold(sealed, now)
 
     def estimate(self, now: float, *, final: bool = False) -> Report:
         """Admit what came and estimate at ``now`` [s]; journal both."""

@@ -31,6 +31,7 @@ from dgorl.team.push import AT_ONCE as PUSHED_AT_ONCE
 from dgorl.team.push import Pushes
 from dgorl.team.ranges import Ranges
 from dgorl.team.rates import Losses
+from dgorl.team.shelf import COUNT
 from dgorl.team.transport import Channel
 from dgorl.team.wants import AT_ONCE, Wants
 from dgorl.team.wire import LIMITS, Limits, short
@@ -206,6 +207,12 @@ class Gossip:
         self._outbox.add(name, now, UNMET_COPIES if self._unmet(now) else self._copies(now))
         return self._bundles(self._outbox.due(now + GATHER), now, at_once=name)
 
+    def hold(self, sealed: Sealed, now: float) -> None:
+        """A bundle of one's own that was held up: it is sent when its turn comes."""
+        self._library.keep(sealed, now)
+        if not self._pushes.on:
+            self._outbox.add(sealed.bundle.name, now, 1)
+
     def tick(self, now: float) -> tuple[Outgoing, ...]:
         """What is due; call it ten times a second or more often."""
         out: list[Outgoing] = []
@@ -237,10 +244,14 @@ class Gossip:
 
     @property
     def next_sequence(self) -> int:
-        """The first number of the own epoch that nobody known to us holds a bundle of."""
+        """The first number of the own epoch that nobody known to us holds a bundle of.
+
+        What others say they hold counts a little beyond what is here: a liar shall not use up the numbers.
+        """
         key = self._library.own
+        last = self._library.shelves[key].had.high
         held = [neighbour.holds[key].high for neighbour in self._neighbours.values() if key in neighbour.holds]
-        return max(self._library.shelves[key].had.high, *held, -1) + 1
+        return max(last, *(high for high in held if high <= last + COUNT), -1) + 1
 
     def live(self, now: float) -> frozenset[str]:
         """The robots heard lately, by ourselves."""
@@ -294,9 +305,10 @@ class Gossip:
 
     def _ask(self, now: float) -> Iterable[Outgoing]:
         self._wants.refresh(self._missing(now), now)
-        eager = min(4, self._copies(now))
-        again = ASK_EVERY if self._pushes.on else None
-        requests = self._wants.requests(lambda name: self._circle.holders(name, now), eager, now, again)
+        if self._pushes.on:
+            requests = self._wants.standing(lambda name: self._circle.holders(name, now), now)
+        else:
+            requests = self._wants.requests(lambda name: self._circle.holders(name, now), self._copies(now), now)
         if requests:
             wants = [
                 (robot, [(*key, flat(numbers, DIGEST_INTERVALS)) for key, numbers in wanted.items()])
@@ -304,19 +316,16 @@ class Gossip:
             ]
             yield self._outgoing("requests", Requests(*self._head(now), wants))
 
-    def _missing(self, now: float) -> dict[Key, Ranges]:
-        """What neighbours hold and is not here."""
-        missing: dict[Key, Ranges] = {}
-        for neighbour in self._circle.live(now).values():
-            for key, held in neighbour.holds.items():
-                if key[0] not in self._roster:
-                    continue
-                lacking = self._library.lacks(key, held, CANDIDATE_BUNDLES)
-                if lacking:
-                    of_key = missing.setdefault(key, Ranges())
-                    for low, high in lacking:
-                        of_key.add(low, high)
-        return missing
+    def _missing(self, now: float) -> list[dict[Key, Ranges]]:
+        """What each neighbour holds and is not here."""
+        return [
+            {
+                key: self._library.lacks(key, held, CANDIDATE_BUNDLES)
+                for key, held in neighbour.holds.items()
+                if key[0] in self._roster
+            }
+            for neighbour in self._circle.live(now).values()
+        ]
 
     def _answer(self, message: Requests, now: float) -> None:
         if self._pushes.on:
@@ -373,7 +382,7 @@ class Gossip:
 
     def _due(self, now: float) -> tuple[Outgoing, ...]:
         """Bundles that are due; what nearly is goes with them."""
-        if self._outbox.earliest() > now:
+        if self._outbox.earliest() > now or not self._outbox.allows(now):
             return ()
         return self._bundles(self._outbox.due(now + GATHER), now)
 

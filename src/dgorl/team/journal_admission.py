@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
+from heapq import heappop, heappush
+from itertools import count
 from math import inf
 
 from dgorl.configuration import Configuration
 from dgorl.history import LATE
 from dgorl.measurements import Displacement, Odometry, known_at
 from dgorl.team.bundles import Bundle, Sealed
+from dgorl.team.intake import AHEAD
 from dgorl.team.journal_data import ranges
 from dgorl.team.ranges import Ranges
 
 PATIENCE = 2.0
 """What comes in late goes together: it waits until no more comes, at most so long [s]. Each time is a rewind."""
 
+EARLY = 4096
+"""So many bundles that are stamped more than AHEAD after now wait, the newest."""
+
 
 class Admission:
     """Bundles waiting for the tick at which a Localizer admits all their rows: it then holds back none of them.
 
-    ``rejected`` counts bundles that came too late, whole. With ``clock: estimated`` nothing waits here: only the team
-    can tell what is late.
+    ``rejected`` counts bundles that came too late, whole, or were too many whose clocks are ahead. With ``clock:
+    estimated`` nothing waits here: only the team can tell what is late.
     """
 
     def __init__(self, configuration: Configuration) -> None:
@@ -28,6 +34,8 @@ class Admission:
         self._shared = configuration.clock == "shared"
         self._history = configuration.history
         self._waiting: list[Sealed] = []
+        self._early: list[tuple[float, int, Sealed]] = []
+        self._order = count()
         self._late_before, self._late_since = inf, inf  # what is there at the start goes at once
         self._admitted: dict[tuple[str, int], Ranges] = {}
 
@@ -45,6 +53,7 @@ class Admission:
 
         takes_late: whether it would admit what is later than 10 s. final: there is no later tick to wait for.
         """
+        self._put_off(now)
         late = [s for s in self._waiting if _lateness(s.bundle, now) > LATE]
         stopped = self._stopped(len(late), now) or final
         filling = set() if stopped else {_origin(sealed.bundle) for sealed in late}
@@ -62,6 +71,22 @@ class Admission:
         self._waiting = waiting
         return tuple(taken)
 
+    def _put_off(self, now: float) -> None:
+        """What is stamped far ahead waits apart, the newest of it: a robot whose clock is wrong costs no more."""
+        if not self._shared:
+            return
+        waiting, self._waiting = self._waiting, []
+        for sealed in waiting:
+            if (latest := _latest(sealed.bundle, now)) > now + AHEAD:
+                heappush(self._early, (latest, next(self._order), sealed))
+            else:
+                self._waiting.append(sealed)
+        while len(self._early) > EARLY:
+            heappop(self._early)
+            self.rejected["ahead of the clock"] += 1
+        while self._early and self._early[0][0] <= now + AHEAD:
+            self._waiting.append(heappop(self._early)[2])
+
     def _stopped(self, late: int, now: float) -> bool:
         """Whether of late bundles, ``late`` in number, no more came since the last tick, or they have come for long.
 
@@ -73,8 +98,7 @@ class Admission:
 
     def _waits(self, bundle: Bundle, now: float, takes_late: bool) -> bool:
         """For its time to come, or, late, for a tick that takes it (METHOD §1)."""
-        latest = max((known_at(m) for m in bundle.measurements), default=now)
-        return latest > now or (_lateness(bundle, now) > LATE and not takes_late)
+        return _latest(bundle, now) > now or (_lateness(bundle, now) > LATE and not takes_late)
 
     def _is_new(self, bundle: Bundle) -> bool:
         numbers = self._admitted.setdefault(_origin(bundle), Ranges())
@@ -85,6 +109,11 @@ class Admission:
 
 def _origin(bundle: Bundle) -> tuple[str, int]:
     return bundle.robot, bundle.epoch
+
+
+def _latest(bundle: Bundle, now: float) -> float:
+    """When the row is known that is known last [s]."""
+    return max((known_at(m) for m in bundle.measurements), default=now)
 
 
 def _lateness(bundle: Bundle, now: float) -> float:

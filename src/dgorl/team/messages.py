@@ -18,7 +18,7 @@ from dgorl.team.envelope import Reason, Rejected, decoded, unwrap, verify, wrap
 from dgorl.team.keys import Roster, Signer
 from dgorl.team.ranges import Ranges
 from dgorl.team.rates import Losses
-from dgorl.team.wire import BITS_64, Text, Whole
+from dgorl.team.wire import BITS_64, NUMBERS, Text, Whole
 
 HASH_BYTES = 8
 
@@ -27,7 +27,7 @@ MOST_INFLATED = 65_536
 
 Number = Annotated[int, Meta(ge=0, lt=Losses.MODULUS)]
 Hash = Annotated[bytes, Meta(min_length=HASH_BYTES, max_length=HASH_BYTES)]
-Intervals = Annotated[list[Annotated[int, Meta(ge=0, lt=2**62)]], Meta(max_length=512)]
+Intervals = Annotated[list[Annotated[int, Meta(ge=0, lt=NUMBERS)]], Meta(max_length=512)]
 Holding = tuple[Text, Whole, Intervals]
 """robot, epoch, sequence numbers: first, last, first, last..."""
 Holdings = Annotated[list[Holding], Meta(max_length=512)]

@@ -190,7 +190,10 @@ class _Process:
     def _transport(self) -> Transport:
         setup = self.setup
         folder = setup.team.path.parent
-        transport: Transport = ZenohTransport(setup.team.team, setup.robot, setup.team.transport, self.now, folder)
+        team = setup.team
+        transport: Transport = ZenohTransport(
+            team.team, setup.robot, team.transport, self.now, folder, team.roster.robots
+        )
         if setup.faults is not None:
             when = self.now if setup.pace is None else setup.pace.recording
             transport = Faulty(transport, setup.robot, setup.faults, when)

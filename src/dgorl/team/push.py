@@ -48,6 +48,9 @@ ASKED, ASKED_AT_ONCE = 5.0, 128
 AGES = 6.0
 """The newest bundle of an epoch counts twice as much as the one this many before it."""
 
+MEND = 4
+"""Every so many messages one begins with what was asked for, the oldest first: else a gap would outlive the history."""
+
 FADES = 2.0
 """A bundle sent this long [s] ago counts as sent 1/e times: by then a digest tells who lacks it still."""
 
@@ -56,14 +59,16 @@ REST = 0.3
 
 
 class Lackers(NamedTuple):
-    """How many robots lack a bundle; loss: which share of the messages to them gets lost, on average."""
+    """How many robots lack a bundle; loss: which share of messages to them gets lost, on average; whether one asked."""
 
     robots: int
     loss: float
+    asked: bool = False
 
-    def and_one(self, loss: float) -> Lackers:
+    def and_one(self, loss: float, *, asked: bool = False) -> Lackers:
         """One more."""
-        return Lackers(self.robots + 1, (self.robots * self.loss + loss) / (self.robots + 1))
+        mean = (self.robots * self.loss + loss) / (self.robots + 1)
+        return Lackers(self.robots + 1, mean, self.asked or asked)
 
 
 NOBODY = Lackers(0, 0.0)
@@ -76,6 +81,7 @@ class Pushes:
         self.on = False
         self._sent: dict[Name, tuple[float, float]] = {}
         self._asked: dict[str, tuple[float, frozenset[Name]]] = {}
+        self._messages_sent = 0
         self._messages = Bucket(MESSAGES_PER_SECOND, AT_ONCE)
         self._ratio = 1.0
         self._next = -float("inf")
@@ -111,12 +117,17 @@ class Pushes:
         lacking: dict[Name, Lackers] = {}
         for robot, neighbour in circle.live(now).items():
             at, asked = self._asked.get(robot, (now, frozenset[Name]()))
-            lacks = {name for name in asked if now - at < ASKED and not neighbour.has(name)}
+            lacks = {
+                name: True
+                for name in asked
+                if now - at < ASKED and not neighbour.has(name) and (name.robot, name.epoch) in library.shelves
+            }
             for key, missing in library.beyond(neighbour.holds, now).items():
                 if key != neighbour.key:
-                    lacks.update(Name(*key, number) for number in missing.newest(LOOKED_AT))
-            for name in lacks:
-                lacking[name] = lacking.get(name, NOBODY).and_one(neighbour.losses.share)
+                    for number in missing.newest(LOOKED_AT):
+                        lacks.setdefault(Name(*key, number), False)
+            for name, wanted in lacks.items():
+                lacking[name] = lacking.get(name, NOBODY).and_one(neighbour.losses.share, asked=wanted)
         for caller in circle.calling(now):
             for number in library.shelves[library.own].kept.newest(TOLD):
                 name = Name(*library.own, number)
@@ -127,15 +138,17 @@ class Pushes:
         self, lacking: Mapping[Name, Lackers], library: Library, first: Name | None, now: float
     ) -> dict[Name, bytes]:
         """Bundles for one message, ``first`` the first."""
-        worth: list[tuple[float, Name]] = []
+        mending = self._messages_sent % MEND == 0
+        worth: list[tuple[bool, float, Name]] = []
         for name, lackers in lacking.items():
             lost = max(lackers.loss, END) ** self._lately(name, now)
             if lost >= REST and name != first:
                 before = library.shelves[name.robot, name.epoch].kept.high - name.sequence
-                worth.append((-lackers.robots * lost * AGES / (AGES + before), name))
+                urgent = mending and lackers.asked
+                worth.append((not urgent, -before if urgent else -lackers.robots * lost * AGES / (AGES + before), name))
         chosen: dict[Name, bytes] = {}
         space = PAYLOAD / self._ratio
-        for name in ([] if first is None else [first]) + [name for _, name in sorted(worth)]:
+        for name in ([] if first is None else [first]) + [name for *_, name in sorted(worth)]:
             data = library.shelves[name.robot, name.epoch].data(name.sequence)
             if data is None:
                 continue
@@ -148,6 +161,7 @@ class Pushes:
     def sent(self, bundles: Mapping[Name, bytes], payload: int, now: float) -> None:
         """These went out, as a message of ``payload`` bytes."""
         self._messages.charge(1.0, now)
+        self._messages_sent += 1
         ratio = payload / sum(map(len, bundles.values()))
         self._ratio = max(LEAST_RATIO, self._ratio + 0.2 * (ratio - self._ratio))
         for name in bundles:

@@ -41,6 +41,8 @@ NAMES = 256
 """... and speaks of at most so many peers."""
 
 BITS_64 = 2**64
+NUMBERS = 2**53
+"""Sequence numbers are below this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +129,8 @@ def peek(text: bytes, roster: Roster) -> Body:
         raise Rejected(Reason.TEAM, f"`{body.team}`, here `{roster.team}`")
     if body.robot not in roster:
         raise Rejected(Reason.UNKNOWN, f"`{body.robot}` is not in the team file")
-    if not max(body.epoch, body.sequence, body.track) < BITS_64:
-        raise Rejected(Reason.MALFORMED, "a number beyond 64 bit")
+    if not (max(body.epoch, body.track) < BITS_64 and body.sequence < NUMBERS):
+        raise Rejected(Reason.MALFORMED, "a number too large")
     return body
 
 

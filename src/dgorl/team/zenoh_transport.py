@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from threading import Lock
 from time import sleep
@@ -27,8 +27,8 @@ QUEUE = 4096
 """Messages kept between two polls; the newest beyond that are dropped and counted."""
 QUEUE_BYTES = 16 * 2**20
 """... and payload bytes."""
-PRESENT, LONGEST_NAME, LONGEST_KEY = 256, 64, 256
-"""So many are noticed at most, whatever strangers pretend, by names and keys of at most so many characters."""
+PRESENT, LONGEST_NAME = 256, 64
+"""Beside the team's so many are noticed at most, by names of at most so many characters."""
 RATE, BURST = 2 * MESSAGES_PER_SECOND, 4 * MESSAGES_PER_SECOND
 """What one sender says beyond this [1/s], and more at once, is not even copied: the gate would let in half of it."""
 BRAKE, EVERY = 0.01, 20
@@ -55,7 +55,8 @@ def open_session(settings: Mapping[str, Any]) -> zenoh.Session:
 class ZenohTransport:
     """One robot on its team's network; a Transport.
 
-    clock: the robot's local clock [s], read when a message comes in. folder: where relative paths of TLS files start.
+    clock: the robot's local clock [s], read when a message comes in. members: the team's robots; all others share what
+    one may say. folder: where relative paths of TLS files start.
     watching: it is no robot of the team but hears digests and bulletins of all, and says nothing.
     Raises NetworkError when the network cannot be used, ConfigurationError for missing TLS files.
     """
@@ -67,6 +68,7 @@ class ZenohTransport:
         network: Network,
         clock: Callable[[], float],
         folder: Path,
+        members: Collection[str],
         *,
         watching: bool = False,
     ) -> None:
@@ -78,7 +80,8 @@ class ZenohTransport:
         self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped = 0, 0, 0, 0, 0
         self._refused, self._excess, self._braking = 0, 0, Lock()
         self._keys: dict[str, tuple[str, str]] = {}
-        self._rates: dict[str, Bucket] = {}
+        self._rates = {name: Bucket(RATE, BURST) for name in members}
+        self._others = Bucket(RATE, BURST)
         self._session = open_session(zenoh_settings(network, robot, folder, watching=watching))
         own = f"dgorl/{team}/{robot}"
         self._publishers: dict[str, zenoh.Publisher] = {
@@ -162,19 +165,15 @@ class ZenohTransport:
             self._received_bytes += size
 
     def _read(self, key: str) -> tuple[str, str]:
-        """Sender and channel of a key; those heard first are remembered."""
+        """Sender and channel of a key; those of the team are remembered."""
         named = _named(key)
-        if len(self._keys) < PRESENT * len(CHANNELS) and len(key) <= LONGEST_KEY:
+        if named[0] in self._rates:
             self._keys[key] = named
         return named
 
     def _rate(self, sender: str) -> Bucket:
-        """What a sender may still say; those heard after the first many share one."""
-        bucket = self._rates.get(sender)
-        if bucket is None:
-            sender = sender if len(self._rates) < PRESENT and len(sender) <= LONGEST_NAME else ""
-            bucket = self._rates.setdefault(sender, Bucket(RATE, BURST))
-        return bucket
+        """What a sender may still say."""
+        return self._rates.get(sender, self._others)
 
     def _refuse(self, sender: str) -> None:
         """Count it, and slow down the connection it came by: one at a time, so that the others go on."""
@@ -195,7 +194,7 @@ class ZenohTransport:
         with self._lock:
             if sample.kind != zenoh.SampleKind.PUT:
                 self._present.discard(robot)
-            elif len(self._present) < PRESENT and len(robot) <= LONGEST_NAME:
+            elif robot in self._rates or (len(self._present) < PRESENT and len(robot) <= LONGEST_NAME):
                 self._present.add(robot)
 
 
