@@ -8,7 +8,7 @@ from dgorl.team.bundles import Name
 from dgorl.team.messages import Message
 from dgorl.team.neighbours import Neighbour
 
-WELL = 0.5
+WELL = 0.7
 """Who loses no more than this share of a neighbour's messages hears it well."""
 
 
