@@ -84,11 +84,12 @@ class History:
 
         What is later than ``history`` is rejected; what is later than 10 s waits, mostly, until a node is due.
         """
-        takes_late, late = self.takes_late(node_due), False
+        takes_late = self.takes_late(node_due)
         ready = bisect.bisect_right(self._inbox, now, key=lambda item: item[0])
         taken, waiting = self._inbox[:ready], self._inbox[ready:]
         early = []
         fresh: dict[Measurement, None] = {}
+        late: dict[Measurement, None] = {}
         for item in taken:
             stamp, _, measurement = item
             if self._has(measurement):
@@ -99,14 +100,14 @@ class History:
             elif now - stamp > LATE and not takes_late:
                 early.append(item)
             else:
-                late = late or now - stamp > LATE
-                fresh[measurement] = None
+                (late if now - stamp > LATE else fresh)[measurement] = None
         self._inbox = early + waiting
-        if late:
+        changed = self._take(list(late))
+        if changed < inf:
             self._at_once -= not node_due
         elif node_due:
             self._at_once = AT_ONCE
-        return self._take(list(fresh)) if fresh else inf
+        return min(changed, self._take(list(fresh)))
 
     def forget(self, before: float) -> None:
         """Drop what is older than ``before`` [s], a multiple of the keyframe time."""
@@ -156,6 +157,10 @@ class History:
         tracks = (track for trail in self.trails.values() for track in trail.tracks)
         return min((track.core.next(after) for track in tracks), default=inf)
 
+    def horizon(self, now: float) -> float:
+        """From when on readings link at ``now`` [s] what is not joined."""
+        return -inf if self.configuration.window == "all" else now - self.configuration.history
+
     def antenna(self, robot: str) -> tuple[float, float, float]:
         """Where a robot's antenna stands in its body frame [m]."""
         antennas = self.configuration.antennas
@@ -199,6 +204,8 @@ class History:
                 return m.stamp <= table.newest and table.has(self._converted(m))
 
     def _take(self, fresh: list[Measurement]) -> float:
+        if not fresh:
+            return inf
         dirty = inf
         odometry: dict[str, list[Odometry | Displacement]] = {}
         readings: dict[str, list[Reading]] = {kind: [] for kind in self.tables}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import ceil
 
 import numpy as np
 
 from dgorl.configuration import Configuration
+from dgorl.doubts import LONGEST
 from dgorl.estimate import Estimate
 from dgorl.expansion.step import SPACING
 from dgorl.expansion.ticks import hypotheses_now
@@ -19,7 +21,7 @@ from dgorl.view import ClusterNow, TeamNow, View
 from dgorl.window import Component, grow
 
 RETAINED = 10.0
-"""Raw data is kept this much longer [s] than the history and the window need."""
+"""Raw data is kept this much longer [s] than a node as old as the history looks back."""
 
 
 class Team:
@@ -53,7 +55,9 @@ class Team:
 
         After a restart, a partition or late data there are many: whoever has other things to do does them in between.
         """
-        g = self._memo.due(now)
+        g, settled = self._memo.due(now), self._settled(now)
+        if g > self._last_node and self._memo.towards(settled).stamp < settled:
+            return True
         self._receive(now, g)
         return self._memo.towards(g).stamp < g
 
@@ -113,14 +117,21 @@ class Team:
         self._memo.invalidate(since)
         self._last_node = -np.inf
 
+    def _settled(self, now: float) -> float:
+        """The last node that nothing admitted from ``now`` [s] on can change."""
+        return (ceil((now - self.configuration.history) / SPACING) - 1) * SPACING
+
     def _receive(self, now: float, g: float) -> None:
+        if g > self._last_node:
+            self._memo.node(self._settled(now))  # after a pause: from data that is forgotten below
         self._memo.invalidate(self.history.admit(now, node_due=g > self._last_node))
         if g > self._last_node:
             self._last_node = g
             history = self.configuration.history
             self._memo.forget(now - history - RETAINED - SPACING)
             if self.configuration.window != "all":
-                self.history.forget(now - history - float(self.configuration.window) - RETAINED - 2 * SPACING)
+                looked_back = max(history, float(self.configuration.window), LONGEST)
+                self.history.forget(now - history - looked_back - RETAINED - 2 * SPACING)
 
     def _joined(self, components: Iterable[Component], node: Node, low: float, now: float) -> list[TeamState]:
         """The components of more than one member, optimised once more."""

@@ -131,7 +131,7 @@ class Range:
     """Distance between the antennas of ``robot`` (who measured) and ``peer`` [m].
 
     ``sigma`` [m] may be left to the configuration. ``exchange`` names a two-way exchange: when both ends report it,
-    it counts once.
+    it counts once. The pair may use the number again after more than 5 s.
     """
 
     robot: str

@@ -112,7 +112,7 @@ class Memo:
         """
         following = self._history.next_odometry(node.stamp)
         known = node.components or node.clusters
-        if following <= node.stamp + SPACING or (known and self.low(g) > -inf):
+        if following < node.stamp + SPACING or (known and self.low(g) > -inf):
             return None
         return g if following >= g else floor(following / SPACING) * SPACING
 

@@ -8,7 +8,8 @@ fall between bins.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,9 @@ UNPLACED = -1
 
 EACH = ("each",)
 """What readings compete for that all count."""
+
+EXCHANGE = 5.0
+"""Readings of one exchange follow one another within this [s]; later, its number is that of another one."""
 
 Order = tuple[float, str, str, float, float]
 
@@ -71,6 +75,7 @@ class Table:
         self._thinning, self._directed = thinning, directed
         self._called: dict[int, str] = {}
         self._best: dict[tuple[object, ...], tuple[tuple[object, ...], Reading]] = {}
+        self._exchanges: defaultdict[tuple[object, ...], list[Order]] = defaultdict(list)
         numbers = [Column((), np.int64) for _ in range(4)]
         self._columns = (Column(), Column(), Column(), *numbers, Column((3,)), Column((3,)))  # as in Rows
         self._robots = (Column((), np.int64), Column((), np.int64))
@@ -95,7 +100,7 @@ class Table:
         a, b = (column.view[first:last] for column in self._robots)
         same = (a == reading.robot_a) & (b == reading.robot_b)
         same &= (values[first:last] == reading.value) & (sigmas[first:last] == reading.sigma)
-        rivals = sum(best.order == reading.order for _, best in self._best.values()) if same.any() else 0
+        rivals = sum(_counts(known, reading.order) for known in self._exchanges.values()) if same.any() else 0
         return int(np.count_nonzero(same)) > rivals
 
     def add(self, readings: Sequence[Reading]) -> float:
@@ -109,17 +114,14 @@ class Table:
         removed = []
         for reading in readings:
             slot, merit = self._slot(reading)
-            rival = self._best.get(slot)
-            if rival is not None:
-                if rival[0] <= merit:
-                    continue
-                if fresh.pop((rival[1].order, slot), None) is None:
-                    removed.append(rival[1].order)
-                dirty = min(dirty, rival[1].stamp)
-            if slot != EACH:
-                self._best[slot] = (merit, reading)
-            fresh[reading.order, slot] = reading
-            dirty = min(dirty, reading.stamp)
+            wins, loser = self._compete(slot, merit, reading)
+            if loser is not None:
+                if fresh.pop((loser, slot), None) is None:
+                    removed.append(loser)
+                dirty = min(dirty, loser[0])
+            if wins:
+                fresh[reading.order, slot] = reading
+                dirty = min(dirty, reading.stamp)
         if removed:
             self._remove(removed)
         if fresh:
@@ -160,6 +162,7 @@ class Table:
                 column.drop(first)
             self._unplaced = {row - first for row in self._unplaced if row >= first}
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp >= before}
+            self._keep_exchanges(lambda order: order[0] >= before)
 
     def rewind(self, since: float) -> None:
         """Drop rows stamped after ``since`` [s]."""
@@ -167,6 +170,7 @@ class Table:
         if first < len(self):
             self._rearrange(first, [])
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp <= since}
+        self._keep_exchanges(lambda order: order[0] <= since)
 
     def _slot(self, reading: Reading) -> tuple[tuple[object, ...], tuple[object, ...]]:
         """What the reading competes for, and its merit there (smallest wins)."""
@@ -177,8 +181,25 @@ class Table:
             distance = abs(stamp - (index + 0.5) * self._thinning)
             return ("bin", pair, index), (distance, reading.order)
         if reading.exchange is not None:
-            return ("exchange", pair, reading.exchange), reading.order
+            return ("exchange", pair, reading.exchange), ()
         return EACH, ()
+
+    def _compete(
+        self, slot: tuple[object, ...], merit: tuple[object, ...], reading: Reading
+    ) -> tuple[bool, Order | None]:
+        """Whether a reading wins its slot, and the row that loses it."""
+        if slot[0] == "exchange":
+            return _exchanged(self._exchanges[slot], reading.order)
+        rival = self._best.get(slot)
+        if rival is not None and rival[0] <= merit:
+            return False, None
+        if slot != EACH:
+            self._best[slot] = (merit, reading)
+        return True, rival[1].order if rival is not None else None
+
+    def _keep_exchanges(self, kept: Callable[[Order], bool]) -> None:
+        left = ((slot, [order for order in known if kept(order)]) for slot, known in self._exchanges.items())
+        self._exchanges = defaultdict(list, {slot: known for slot, known in left if known})
 
     def _insert(self, readings: list[Reading]) -> None:
         base = len(self)
@@ -232,3 +253,27 @@ class Table:
             column.rearrange(first, np.array(rows, dtype=np.int64))
         moved = {old: first + k for k, old in enumerate(rows) if old in self._unplaced}
         self._unplaced = {row for row in self._unplaced if row < first} | set(moved.values())
+
+
+def _exchanged(known: list[Order], order: Order) -> tuple[bool, Order | None]:
+    """Take a reading among those known of its exchange's number: whether it counts, and the row that no longer does.
+
+    In whatever order they come, the first counts of those that follow one another within 5 s.
+    """
+    k = bisect_left(known, order)
+    if known[k : k + 1] == [order]:
+        return False, None
+    counted = known[k] if _begins(known, k) else None
+    known.insert(k, order)
+    return _begins(known, k), None if _begins(known, k + 1) else counted
+
+
+def _begins(known: list[Order], k: int) -> bool:
+    """Whether an exchange begins with the k-th of the readings known of its number."""
+    return k < len(known) and (k == 0 or known[k][0] - known[k - 1][0] > EXCHANGE)
+
+
+def _counts(known: list[Order], order: Order) -> bool:
+    """Whether a reading is among those known of an exchange's number, and counts."""
+    k = bisect_left(known, order)
+    return known[k : k + 1] == [order] and _begins(known, k)

@@ -93,8 +93,8 @@ class Trail:
         """Drop what ended before keyframe ``before``."""
         self.core.forget(before)
         stamp = self.core.tracks[0].first / KEYFRAMES_PER_SECOND - self._lag
-        rows = self._rows.view
-        self._rows.drop(min(int(np.searchsorted(rows[:, 1], stamp, "right")), len(rows) - 1))
+        ends = np.maximum.accumulate(self._rows.view[:, 1])  # a long row may hold shorter ones
+        self._rows.drop(min(int(np.searchsorted(ends, stamp, "right")), len(ends) - 1))
         self._name()
 
     def rewind(self, since: float) -> None:

@@ -167,8 +167,8 @@ class View:
 
     @cached_property
     def _in_contact(self) -> tuple[tuple[TrackKey, ...], ...]:
-        """Tracks that measurements link, over others if need be, since they began."""
-        return rpmg(contacts(self._history, -np.inf, np.inf)).components
+        """Tracks that measurements of the last ``history`` seconds link, over others if need be."""
+        return rpmg(contacts(self._history, self._history.horizon(self._now), self._now)).components
 
 
 def _current(history: History, robot: str, now: float) -> Track | None:

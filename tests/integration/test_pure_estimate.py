@@ -100,6 +100,60 @@ def test_working_ahead_and_in_parts_changes_nothing(log, configuration):
     assert found[0] == found[1]
 
 
+def silent(log, since, until):
+    """What is measured of a log's robots when they say nothing for a while."""
+    return [m for m in everything(log) if known_at(m) <= since or getattr(m, "start", known_at(m)) >= until]
+
+
+def located(log, configuration, measurements, stamps, now, parts=False):
+    """Estimates at ``now`` after updates at ``stamps``, told in turn what is known by then and all the rest at last."""
+    team, localizers = team_of(log, configuration)
+    waiting = deque(measurements)
+    for stamp in stamps:
+        while waiting and known_at(waiting[0]) <= stamp:
+            team.add(waiting.popleft())
+        team.update(stamp)
+    for measurement in waiting:
+        team.add(measurement)
+    while parts and team.prepare(now):
+        pass
+    return flat(localizers, now)
+
+
+def test_odometry_that_resumes_with_a_node_is_not_of_it():
+    log = simulated(sensors=("range",), steps=94)
+    configuration = settings(log, window="all")
+    measurements, now = silent(log, 12.0, 30.0), 46.0
+    measurements = [m for m in measurements if known_at(m) <= now]
+    assert located(log, configuration, measurements, np.arange(1.0, now), now) == located(
+        log, configuration, measurements, (), now
+    )
+
+
+@pytest.mark.parametrize("parts", [False, True])
+def test_a_pause_longer_than_history_leaves_no_trace(parts):
+    log = simulated(sensors=("range",), steps=140)
+    configuration = settings(log, history=20.0)
+    measurements, now = silent(log, 30.0, 50.0), 68.0
+    measurements = [m for m in measurements if known_at(m) <= now]
+    expected = located(log, configuration, measurements, np.arange(1.0, now), now)
+    assert located(log, configuration, measurements, np.arange(1.0, 32.0), now, parts) == expected
+
+
+def test_what_is_late_meets_all_that_hypotheses_were_made_of():
+    """While a robot stays ambiguous, a node as old as the history looks back as long again."""
+    log = simulated(robots=2, steps=170, motion="straight", area=60.0, comm_range=400.0)
+    configuration = settings(log, window=5.0, history=35.0)
+    now = 84.0
+    measurements = sorted((m for m in log.measurements if known_at(m) <= now), key=known_at)
+    late = next(m for m in measurements if isinstance(m, Rssi) and m.stamp >= now - 34.0)
+    stamps = np.arange(2.0, now, 2.0)
+    expected = located(log, configuration, measurements, stamps, now)
+    assert {status for status, *_ in expected.values()} == {"ambiguous"}
+    measurements = [*(m for m in measurements if m != late), late]
+    assert located(log, configuration, measurements, stamps, now) == expected
+
+
 def test_every_robot_computes_the_same_team(log, configuration):
     """Robots that hear the same in different orders agree bit for bit, and their poses compose."""
     measurements = everything(log)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgorl import Status, se2
+from dgorl import Configuration, Odometry, Range, Status, Team, se2
+from dgorl.configuration import merge
 from tests.integration.driven import (
     KNOWN,
     PERIOD,
@@ -154,3 +155,13 @@ def test_a_located_peers_status_follows_its_posterior():
     assert other.status is Status.UNOBSERVABLE
     assert "bearing" in other.reason
     assert np.isfinite(se2.inverse(other.pose)).all()
+
+
+def test_contact_is_of_the_last_history_seconds():
+    team = Team(merge(Configuration(), {"history": 10.0, "window": 5.0}, "test"))
+    for robot in ("a", "b"):
+        for k in range(50):
+            team.add(Odometry(robot, k / 2, k / 2 + 0.5, 0.3, 0.1))
+    team.add(Range("a", "b", 12.0, 5.0, 0.1))
+    said = {now: team.view("a", team.update(now), now)["b"].status for now in (11.0, 15.0, 22.0, 22.5)}
+    assert list(said.values()) == [Status.ISOLATED, Status.AMBIGUOUS, Status.AMBIGUOUS, Status.ISOLATED]

@@ -164,6 +164,18 @@ def test_forgetting_and_late_rows_keep_the_rest() -> None:
         np.testing.assert_array_equal(found, expected)
 
 
+def test_forgetting_keeps_a_long_row_that_holds_short_ones() -> None:
+    rows = [Odometry("r1", 0.0, 9.0, 0.5, 0.1), *(Odometry("r1", k, k + 0.5, 0.4, 0.0) for k in range(1, 8))]
+    trail = Trail("r1", MOTION, 30.0)
+    trail.add(rows)
+    trail.forget(16)
+    trail.add([Odometry("r1", 9.0, 10.0, 0.5, 0.1)])
+    expected = _core.odometry([trail.tracks[0].core], [16], [18])
+    assert not trail.add([Odometry("r1", 8.5, 8.75, 0.4, 0.0)])  # tells nothing, but rebuilds
+    for known, found in zip(expected, _core.odometry([trail.tracks[0].core], [16], [18]), strict=True):
+        np.testing.assert_allclose(found, known, rtol=1e-12)
+
+
 @pytest.mark.parametrize("cut", [17, 20, 24])
 def test_forgetting_inside_a_gap_keeps_what_rebuilds_it(cut: int) -> None:
     rows = [Odometry("r1", k / 4, (k + 1) / 4, 0.5, 0.1) for k in (*range(33), *range(60, 80))]

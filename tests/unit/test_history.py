@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 from math import inf
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from dgorl import Bearing, Configuration, Displacement, Odometry, Range, RelativePose, Rssi
 from dgorl.configuration import merge
-from dgorl.history import History
+from dgorl.history import AT_ONCE, History
 from dgorl.measurements import Measurement
 
 COVARIANCE = (0.01, 0.0, 0.0, 0.01, 0.0, 0.001)
@@ -91,6 +92,33 @@ def test_a_reading_equal_to_an_exchange_counts_beside_it() -> None:
     one = Range("a", "b", 1.0, 2.0)
     for order in ((one, replace(one, exchange=7)), (replace(one, exchange=7), one)):
         assert len(admitted(order, (0,), {}).tables["range"]) == 2
+
+
+@pytest.mark.parametrize("gaps", [(4.0, 4.0), (6.0,), (0.01, 6.0, 0.01), (4.0, 6.0, 4.0, 4.0, 6.0)], ids=str)
+def test_a_number_that_comes_again_later_is_another_exchange(gaps: tuple[float, ...]) -> None:
+    stamps = np.cumsum([1.0, *gaps])
+    ends = [("a", "b"), ("b", "a")] * len(stamps)
+    readings = [Range(*pair, stamp, 2.0, None, 7) for stamp, pair in zip(stamps, ends, strict=False)]
+    counted = [1.0, *(stamp for stamp, gap in zip(stamps[1:], gaps, strict=True) if gap > 5.0)]
+    for order in permutations(readings):
+        history = History(Configuration())
+        for reading in order:
+            history.add(reading)
+            history.admit(40.0, node_due=True)
+        assert history.tables["range"].between(-inf, inf).stamp.tolist() == counted
+
+
+@pytest.mark.parametrize(
+    ("measurement", "changes"),
+    [(Range("a", "b", 1.2, 2.0), {"ranging": {"thinning": 1.0}}), (Range("b", "a", 1.1, 2.1, None, 7), {})],
+    ids=["thinned", "exchange"],
+)
+def test_what_has_lost_before_costs_no_rewind(measurement: Measurement, changes: dict[str, object]) -> None:
+    history = admitted([Range("a", "b", 1.5, 2.0), Range("a", "b", 1.0, 2.0, None, 7), measurement], (), changes)
+    for _ in range(2 * AT_ONCE):
+        history.add(measurement)
+        assert history.admit(20.0, node_due=False) == inf
+    assert history.takes_late(node_due=False)
 
 
 def test_covariances_take_room_only_where_one_is_stated() -> None:

@@ -69,8 +69,7 @@ def advance(
 
 def _linked(step: Step, members: Mapping[TrackKey, int]) -> list[tuple[list[int], float]]:
     """Sets of two or more components that readings of the last ``history`` seconds link, and the stamp of the first."""
-    configuration = step.history.configuration
-    horizon = -inf if configuration.window == "all" else step.g - configuration.history
+    horizon = step.history.horizon(step.g)
     between: dict[tuple[int, int], tuple[int, float]] = {}
     for (a, b), contact in contacts(step.history, horizon, step.g, step.since).items():
         if a in members and b in members and members[a] != members[b]:

@@ -34,7 +34,7 @@ CACHE = 256
 Synchronous = Literal["full", "normal"]
 """full: own bundles survive a power cut. normal: they survive ``kill -9``; after a power cut a new epoch begins."""
 
-QUEUE = 100_000
+QUEUE = 20_000
 """While the disk refuses, so many bundles and ticks wait at most; then the oldest are lost to the journal."""
 
 _Tick = tuple[float, tuple[Sealed, ...]]
