@@ -38,6 +38,9 @@ class Losses:
     MODULUS = 128
     """Numbers of messages count up modulo this."""
 
+    MOST = 32
+    """So many are taken for lost at once at most: a robot that was started again begins with another number."""
+
     _FADES = 0.95
 
     __slots__ = ("_came", "_last", "_lost")
@@ -51,7 +54,7 @@ class Losses:
         self._came, self._lost = self._came * self._FADES + 1.0, self._lost * self._FADES
         ahead = 1 if self._last is None else (number - self._last) % self.MODULUS
         if ahead <= self.MODULUS // 2:
-            self._lost += ahead - 1
+            self._lost += min(ahead - 1, self.MOST)
             self._last = number
         else:
             self._lost = max(0.0, self._lost - 1.0)
