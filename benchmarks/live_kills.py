@@ -14,7 +14,7 @@ SLOT = 6.0
 
 
 def kill(place: Place) -> Iterator[Row]:
-    """Every agent in turn, at random moments, and again. Who is back needs CPU: no faster than 2 × on 2 cores."""
+    """Every agent in turn, at random moments, and again. Who is back needs CPU: at the robots' own rate."""
     folder = place.folder("kill")
     rounds, runs = (1, 1) if place.short else (4, KILLS // 20)
     log = simulated(folder / "log", 15.0 + SLOT * 5 * rounds + 20.0)
@@ -25,7 +25,7 @@ def kill(place: Place) -> Iterator[Row]:
             robot, at = f"r{number % 5 + 1}", 15.0 + SLOT * number + rng.uniform(0.0, 2.0)
             times.append((robot, at + rng.uniform(0.5, 2.0)))
             events += ["--kill", f"{robot}@{at:.3f}", "--join", f"{robot}@{times[-1][1]:.3f}"]
-        fleets.append(ran(folder / f"{seed}", log, "--rate", 2, *events))
+        fleets.append(ran(folder / f"{seed}", log, "--rate", 1, *events))
         backs.append(times)
     names, lost, reused = (sum(numbers) for numbers in zip(*(left.numbering() for left in fleets), strict=True))
     epochs = sum(len({(n.robot, n.epoch) for j in left.journals.values() for n in j}) - 5 for left in fleets)
@@ -40,7 +40,7 @@ def kill(place: Place) -> Iterator[Row]:
         f"numbers missing, {epochs} new epochs; all held by all {_spread(held)} s after the restart, in all estimates "
         f"after {_spread(admitted)} s; the first estimate after it took {_spread(first)} s CPU (median, 95 %, most); "
         f"at the end {equal} of {runs} equal; {np.mean([left.skipped for left in fleets]):.0%} of the ticks skipped",
-        "`python benchmarks/live.py --only kill` (`--rate 2 --kill r1@15.4 --join r1@16.9 ...`)",
+        "`python benchmarks/live.py --only kill` (`--rate 1 --kill r1@15.4 --join r1@16.9 ...`)",
         not (lost or reused or gaps or epochs) and equal == runs and max(held) <= 10.0,
     )
 

@@ -33,7 +33,7 @@ from dgorl.team.bundler import CLOCKS_EVERY, Bundler, merged
 from dgorl.team.bundles import Bundle, track_epoch
 from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.keys import UNSIGNED, Roster, generate
-from dgorl.team.wire import LIMITS, Limits, encode, open_sealed, seal, size
+from dgorl.team.wire import LIMITS, NUMBERS, Limits, encode, open_sealed, seal, size
 
 KEYS = {name: generate() for name in ("r1", "r2", "r3")}
 ROSTER = Roster("t", {name: key.public for name, key in KEYS.items()})
@@ -61,7 +61,7 @@ def bundles(draw: st.DrawFn) -> Bundle:
     exchange = st.none() | st.integers(-(2**63), 2**63 - 1)
     length = number.map(abs)
     return Bundle(
-        "t", "r1", epoch, draw(whole), track, cut,
+        "t", "r1", epoch, draw(st.integers(0, NUMBERS - 1)), track, cut,
         (*draw(st.lists(twist, max_size=5)), *draw(st.lists(displacement, max_size=3))),
         tuple(draw(st.lists(st.builds(Rssi, peer, st.just("r1"), stamp, number), max_size=5))),
         tuple(draw(st.lists(st.builds(Range, st.just("r1"), peer, stamp, length, sigma, exchange), max_size=5))),

@@ -31,7 +31,9 @@ def on_processes(run: Callable[[A], B], tasks: Sequence[A], workers: int) -> Ite
             for future in as_completed(running):
                 yield running[future], future.result()
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            # Not pool.shutdown(wait=False): nobody would wait for its threads, which write to queues that are gone.
+            for future in running:
+                future.cancel()
             for child in multiprocessing.active_children():
                 child.terminate()
             raise
