@@ -9,7 +9,7 @@ from dgorl.team.messages import Message
 from dgorl.team.neighbours import Neighbour
 
 WELL = 0.7
-"""Who loses no more than this share of a neighbour's messages hears it well."""
+"""Who loses a larger share of a neighbour's messages does not hear it, for those who might relay."""
 
 
 class Circle:
@@ -41,7 +41,7 @@ class Circle:
         return {robot: n for robot, n in self.neighbours.items() if n.live(now)}
 
     def heard_well(self, now: float) -> list[str]:
-        """Neighbours of whose messages most arrive: what others say need not be passed on to them alone."""
+        """Neighbours whose messages need not be passed on to us; others' relays fill in for the rest."""
         return sorted(robot for robot, n in self.live(now).items() if n.losses.share <= WELL)
 
     def calling(self, now: float) -> list[Neighbour]:

@@ -1,10 +1,9 @@
-"""Where most messages get lost: all that is new again and again, in many small messages, and nobody need ask.
-
-On all links, or to one neighbour that is behind for it.
+"""Where most messages get lost, on all links or to a neighbour that is behind for it: what is lacked, again and again.
 
 Where nine of ten messages are lost, a request and its answer both pass one time in a hundred, one of twenty copies
 seven times in eight. So every robot repeats what it holds, its own and the others', as often as it may. What goes
-first is what most neighbours lack, as far as is known, what is newest, and what was sent least often lately.
+first is what most neighbours lack, as far as is known, what is newest, and what was sent least often lately; and in
+turn what was asked for, the oldest first.
 """
 
 from __future__ import annotations
