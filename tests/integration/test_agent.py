@@ -286,7 +286,7 @@ def test_a_carried_robot_begins_a_new_track(lab: type) -> None:
     team.agents["r2"].take(Moved(10.0))
     team.end(21.0)
     assert len(team.data) == 1
-    track = team.agents["r1"]._localizer.team.history.trails["r2"].tracks
+    track = team.agents["r1"]._estimator._localizer.team.history.trails["r2"].tracks
     assert len({t.key.epoch for t in track}) == 2
 
 

@@ -43,7 +43,7 @@ def _steps(robot: str, story: Story) -> list[Step]:
     estimated = story.run.settings.get("clock", "shared") == "estimated"
     steps = [Step(tick.now, tuple(_part(bundle, estimated) for bundle in tick.bundles)) for tick in story.ticks]
     first = steps[0]
-    return [Step(first.now, (Part(story.run.starts), *first.admitted), started=(robot, story.run.epoch)), *steps[1:]]
+    return [Step(first.now, (Part(story.run.given), *first.admitted), started=(robot, story.run.epoch)), *steps[1:]]
 
 
 def _part(bundle: Bundle, estimated: bool) -> Part:

@@ -5,30 +5,27 @@ No sockets, threads or clocks in here: time is an argument, the transport and th
 
 from __future__ import annotations
 
-import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from math import floor, inf
 
 from dgorl.errors import MeasurementError
-from dgorl.localizer import Localizer
 from dgorl.measurements import Measurement
-from dgorl.replay import start_priors
 from dgorl.team.bulletin import Bulletins
 from dgorl.team.bundler import Bundler
-from dgorl.team.bundles import Bundle, Sealed
+from dgorl.team.bundles import Sealed
 from dgorl.team.envelope import Reason, Rejected
+from dgorl.team.estimator import Estimator
 from dgorl.team.gossip import Gossip, Outgoing, Reaction
 from dgorl.team.intake import Moved, read_line
 from dgorl.team.journal import Journal
-from dgorl.team.journal_admission import Admission
 from dgorl.team.journal_schema import JournalError
 from dgorl.team.keys import Signer
-from dgorl.team.report import Carried, Complaint, Report, clocks_of, peers_of
+from dgorl.team.report import Carried, Complaint, Report
 from dgorl.team.team_file import TeamFile
 from dgorl.team.transport import BULLETINS, Transport
+from dgorl.team.wall import Failure
 from dgorl.team.wire import open_sealed, seal
-from dgorl.team_time import team_on
 
 BAD_LINE = "bad line"
 LINE_REPEATED = 80
@@ -38,9 +35,8 @@ AT_ONCE = 8
 
 
 class Agent:
-    """Assembles transport, journal, bundler, gossip and Localizer. Call :meth:`step` ten times a second or more.
+    """Assembles transport, journal, bundler, gossip and estimator. Call :meth:`step` ten times a second or more.
 
-    The Localizer is given bundles alone, its own included, so that all robots compute the same.
     now: the robot's clock [s]; it never runs backwards. wire_bytes: sent by this process, headers included.
     """
 
@@ -60,11 +56,7 @@ class Agent:
         """What went wrong and a person should hear of; taken out by who logs it."""
         configuration = team.configuration
         self._signer, self._wire_bytes = signer, wire_bytes
-        self._clock = robot, journal.epoch
-        self._localizer = Localizer(robot, team=team_on(configuration, self._clock))
-        for start in start_priors(team.starts):
-            self._localizer.add(start)
-        self._admission = Admission(configuration)
+        self._estimator = Estimator((robot, journal.epoch), team, journal, self._opened, self._trouble)
         self._gossip = Gossip(
             robot, journal.epoch, team.roster, signer, team.configuration_hash, history=configuration.history
         )
@@ -74,8 +66,6 @@ class Agent:
         self._bundles = 0
         self._tick = floor(now / configuration.period)
         self._estimating: float | None = None
-        self._estimated = -inf
-        self._spent = 0.0
         track = self._remember(now)
         self._bundler = Bundler(
             team.team, robot, journal.epoch, sequence=journal.next_sequence, track=track, substep=team.substep
@@ -102,6 +92,11 @@ class Agent:
             self._bundler.add(measured)
 
     @property
+    def failures(self) -> deque[Failure]:
+        """Errors of the estimator that a person should hear of; taken out by who logs them."""
+        return self._estimator.failures
+
+    @property
     def due(self) -> float:
         """When the next tick is [s]; now, so to speak, while one is being computed in parts."""
         return -inf if self._estimating is not None else (self._tick + 1) * self.team.configuration.period
@@ -122,9 +117,9 @@ class Agent:
             self._tick = tick
             self.publish(tick * period, now)
             self._estimating = tick * period
-            self._admit(tick * period)
+            self._estimator.admit(tick * period)
         stamp = self._estimating
-        if parts and self._prepare(stamp):
+        if parts and self._estimator.prepare(stamp):
             return None
         report = self._report(stamp)
         self._tell_watchers(report, now)
@@ -132,7 +127,7 @@ class Agent:
 
     def rest(self) -> None:
         """Compute what the next tick will need; call it when the report of the last one is out."""
-        self._localizer.anticipate(self._estimated + self.team.configuration.period)
+        self._estimator.anticipate(self._estimator.estimated + self.team.configuration.period)
 
     def hear(self, now: float) -> None:
         """Hear the network and answer it."""
@@ -159,7 +154,7 @@ class Agent:
         self._bundles += len(self._unsent)
         while self._unsent:
             sealed = self._unsent.popleft()
-            self._admission.offer(sealed)
+            self._estimator.offer(sealed)
             if len(self._unsent) < AT_ONCE:
                 self._send(self._gossip.publish(sealed, now))
             else:
@@ -167,34 +162,11 @@ class Agent:
 
     def estimate(self, now: float, *, final: bool = False) -> Report:
         """Admit what came and estimate at ``now`` [s]; journal both."""
-        self._admit(now, final=final)
+        self._estimator.admit(now, final=final)
         return self._report(now, final=final)
 
-    def _admit(self, now: float, *, final: bool = False) -> None:
-        """Let in what came by ``now`` [s], the stamp of a tick, and journal that."""
-        began = time.process_time()
-        admitted = self._admission.due(now, takes_late=self._localizer.team.takes_late(now), final=final)
-        for sealed in admitted:
-            self._give(sealed.bundle)
-        self.journal.tick(now, admitted)
-        self._spent = time.process_time() - began
-
-    def _prepare(self, now: float) -> bool:
-        """A part of the estimate at ``now`` [s]; whether more parts are left."""
-        began = time.process_time()
-        more = self._localizer.prepare(self._team_time(now))
-        self._spent += time.process_time() - began
-        return more
-
-    def _team_time(self, now: float) -> float:
-        placed = self._localizer.team.team_now(*self._clock, now)
-        return now if placed is None else placed
-
     def _report(self, now: float, *, final: bool = False) -> Report:
-        began = time.process_time()
-        self._estimated = self._team_time(now)
-        estimate = self._localizer.update(self._estimated)
-        self._spent += time.process_time() - began
+        peers, clocks = self._estimator.said(now)
         self._estimating = None
         try:
             self.journal.flush()
@@ -204,10 +176,10 @@ class Agent:
         return Report(
             robot=self.robot,
             stamp=now,
-            peers=peers_of(estimate),
-            data=self._admission.data,
+            peers=dict(peers),
+            data=self._estimator.data,
             present=tuple(sorted(self.transport.present())),
-            clocks=clocks_of(estimate),
+            clocks=dict(clocks),
             traffic=Carried(
                 traffic.sent_messages,
                 traffic.sent_bytes,
@@ -217,8 +189,8 @@ class Agent:
                 self._wire_bytes(),
                 self._bundles,
             ),
-            rejected=self._all_rejected(estimate.rejected),
-            tick_s=self._spent,
+            rejected=self._all_rejected(),
+            tick_s=self._estimator.spent,
             final=final,
         )
 
@@ -229,29 +201,25 @@ class Agent:
 
     def _remember(self, now: float) -> int:
         """Give gossip and estimate what the journal knows; the track the robot is on."""
-        known = []
-        for data in self.journal.known:
-            try:
-                known.append(open_sealed(data, self.team.roster))
-            except Rejected as error:
-                self._rejected[error.reason] += 1
+        known = list(self._opened(self.journal.known))
         self._gossip.restore(known, self.journal.admitted, now)
         for sealed in known:
-            self._admission.offer(sealed)
+            self._estimator.offer(sealed)
         own = (s.bundle.track for s in known if (s.bundle.robot, s.bundle.epoch) == (self.robot, self.journal.epoch))
         return max(own, default=0)
 
-    def _give(self, bundle: Bundle) -> None:
-        clock = bundle.robot, bundle.epoch
-        for reading in bundle.clocks:
-            self._localizer.team.add_reading(reading)
-        for measurement in bundle.measurements:
-            self._localizer.add(measurement, clock)
+    def _opened(self, known: Iterable[bytes]) -> Iterator[Sealed]:
+        """Bundles of the journal that the team as it is now still takes."""
+        for data in known:
+            try:
+                yield open_sealed(data, self.team.roster)
+            except Rejected as error:
+                self._rejected[error.reason] += 1
 
     def _react(self, reaction: Reaction) -> None:
         for sealed in reaction.new:
             self.journal.receive(sealed)
-            self._admission.offer(sealed)
+            self._estimator.offer(sealed)
         self._bundler.heard(reaction.clocks)
         self._send(reaction.send)
 
@@ -264,9 +232,9 @@ class Agent:
         if bulletin is not None:
             self.transport.send(BULLETINS, bulletin)
 
-    def _all_rejected(self, measurements: Mapping[str, int]) -> dict[str, int]:
-        total = Counter(measurements)
-        for counter in (self._rejected, self._bundler.dropped, self._gossip.rejected, self._admission.rejected):
+    def _all_rejected(self) -> dict[str, int]:
+        total = Counter(self._estimator.rejected)
+        for counter in (self._rejected, self._bundler.dropped, self._gossip.rejected):
             total.update({str(reason): count for reason, count in counter.items()})
         if refused := self.transport.traffic.refused:
             total[str(Reason.RATE)] += refused

@@ -11,6 +11,7 @@ import sqlite3
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -46,7 +47,7 @@ class Journal:
     epoch: 64 random bits, made when the journal is new. next_sequence: the first number no own bundle has had. known:
     signed bytes of the bundles, own and received, that came in the last ``keep`` seconds before, in the order they
     came. admitted: (robot, epoch) of those the estimate was given then. last: the last tick before [s], or None.
-    notices: what a person should hear about how it was opened.
+    newest: number of its newest entry on the disk. notices: what a person should hear about how it was opened.
     """
 
     epoch: int
@@ -54,7 +55,9 @@ class Journal:
     known: tuple[bytes, ...]
     admitted: frozenset[tuple[str, int]]
     last: float | None
+    newest: int
     notices: tuple[str, ...]
+    _run: Run
 
     def __init__(
         self, path: Path, mark: Mark, robot: str, roster: Roster, keep: float, limit: int, synchronous: Synchronous
@@ -104,8 +107,9 @@ class Journal:
         mark = Mark(path)
         try:
             journal = cls(path, mark, robot, roster, keep, limit, synchronous)
+            journal._run = Run(settings, tuple(starts), roster.robots, journal.epoch)
             with journal._committed("full"):
-                journal._entries.add_run(Run(settings, tuple(starts), roster.robots, journal.epoch))
+                journal._entries.add_run(journal._run)
         except BaseException:
             mark.close()
             raise
@@ -149,6 +153,16 @@ class Journal:
         with self._committed("normal"):
             if self._now is not None and self._entries.size() > self._limit:
                 self._entries.rotate(self._now - self._keep)
+
+    def begin_anew(self, since: float) -> tuple[bytes, ...]:
+        """The estimate begins anew, as after a restart: signed bytes of the bundles that came after ``since`` [s].
+
+        Raises JournalError when the disk refuses.
+        """
+        with self._committed("normal"):
+            self._entries.add_run(replace(self._run, since=since))
+            known, _ = self._entries.recall(since)
+        return known
 
     def close(self) -> None:
         """Write what is queued and let go of the journal. Raises JournalError when the disk refuses."""
@@ -201,6 +215,7 @@ class Journal:
                     else:
                         self._entries.add_tick(*item)
                 yield
+                newest = self._entries.newest()
                 self._database.execute("COMMIT")
             except BaseException:
                 if self._database.in_transaction:
@@ -209,6 +224,7 @@ class Journal:
         except sqlite3.Error as error:
             raise JournalError(f"{self.path}: cannot be written: {error}") from error
         self._queue.clear()
+        self.newest = newest
 
 
 def _broken(state: State | None, epoch: int) -> str:

@@ -68,7 +68,7 @@ class Entries:
             f"SELECT now FROM entries WHERE kind = {Kind.TICK} ORDER BY number DESC LIMIT 1"
         ).fetchone()
         last = float(row[0]) if row else None
-        known, admitted = self._recall(-inf if last is None else last - keep)
+        known, admitted = self.recall(-inf if last is None else last - keep)
         (largest,) = self._database.execute(
             f"SELECT max(sequence) FROM entries WHERE kind = {Kind.BUNDLE} AND robot = ? AND epoch = ?",
             (facts["robot"], facts["epoch"]),
@@ -94,7 +94,7 @@ class Entries:
             (settled, settled, BATCH),
         )
 
-    def _recall(self, since: float) -> tuple[tuple[bytes, ...], frozenset[tuple[str, int]]]:
+    def recall(self, since: float) -> tuple[tuple[bytes, ...], frozenset[tuple[str, int]]]:
         """What came after the last tick at or before ``since`` [s]: known and admitted, as in Memory."""
         rows = self._database.execute(
             f"SELECT number, kind, robot, epoch, body FROM entries WHERE number > ? AND kind != {Kind.RUN} "
@@ -111,6 +111,11 @@ class Entries:
             else:
                 admitted.update(origins[n] for n in msgspec.msgpack.decode(body, type=list[int]) if n in origins)
         return tuple(known), frozenset(admitted)
+
+    def newest(self) -> int:
+        """Number of the newest entry, 0 where there is none."""
+        (number,) = self._database.execute("SELECT coalesce(max(number), 0) FROM entries").fetchone()
+        return int(number)
 
     def _settled(self, since: float) -> int:
         row = self._database.execute(

@@ -54,12 +54,21 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Run:
-    """How an agent began: its settings, the known starts it was given, who was in the team, its own epoch."""
+    """How an agent began: its settings, the known starts it was given, who was in the team, its own epoch.
+
+    since: where its estimate was made anew, of what came after that [s]; known starts before it were left out.
+    """
 
     settings: Mapping[str, Any]
     starts: tuple[RelativePose, ...]
     robots: tuple[str, ...]
     epoch: int
+    since: float | None = None
+
+    @property
+    def given(self) -> tuple[RelativePose, ...]:
+        """The known starts that the estimate was given."""
+        return self.starts if self.since is None else tuple(s for s in self.starts if s.stamp >= self.since)
 
 
 class JournalError(DgorlError):

@@ -146,14 +146,14 @@ class _Process:
                 ended = now >= end and agent.due > end
             else:
                 agent.hear(now)
-            self._troubles(agent)
+            tell_troubles(agent)
             self.stop.wait(min(look, max(agent.due + grace - self.now(), 0.0) / self.rate))
         self._measurements(agent)
         last = min(self.now(), end)
         agent.hear(self.now())
         agent.publish(last, self.now())
         self._tell(agent.estimate(last, final=True))
-        self._troubles(agent)
+        tell_troubles(agent)
 
     def _measurements(self, agent: Agent) -> None:
         ahead = self.ahead()
@@ -170,10 +170,6 @@ class _Process:
         self.out.write(line)
         if self.local is not None:
             self.local.estimate(line)
-
-    def _troubles(self, agent: Agent) -> None:
-        while agent.troubles:
-            log.error(agent.troubles.popleft())
 
     def _take(self, line: bytes) -> None:
         try:
@@ -198,6 +194,18 @@ class _Process:
             when = self.now if setup.pace is None else setup.pace.recording
             transport = Faulty(transport, setup.robot, setup.faults, when)
         return transport
+
+
+def tell_troubles(agent: Agent) -> None:
+    """Log what went wrong since it was asked last."""
+    while agent.troubles:
+        log.error(agent.troubles.popleft())
+    while agent.failures:
+        failure = agent.failures.popleft()
+        fields = {"tick": failure.tick, "journal": str(agent.journal.path), "entry": failure.entry}
+        fields |= {"repeated": failure.repeated} if failure.repeated else {}
+        what = "the estimator failed; no peer is located until it works again"
+        log.error(what, exc_info=failure.error, extra={"fields": fields})
 
 
 def _signer(setup: Setup) -> Signer:
