@@ -16,7 +16,7 @@ from dgorl.expansion.beam import expanded
 from dgorl.expansion.hypotheses import CERTAIN, Cluster
 from dgorl.expansion.step import SPACING, Step
 from dgorl.history import History
-from dgorl.tracks import TrackKey
+from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Component, alone, assemble
 
 FEWEST = 4
@@ -89,13 +89,14 @@ def doubt_about(
             (liar,) = keys - rest
             return _again(Doubt(g, keys, {}, g, liar, 1), before) if left.explained_by_absence(fit) else None
     base = max(_base(before, g), *(max(key.begin, since.get(key, key.begin)) for key in keys))
-    if g - base < SHORTEST:
+    here = frozenset(key for key in keys if _end(whole, key) > base)  # an earlier epoch of a robot may have ended
+    if g - base < SHORTEST or len(here) < FEWEST:
         return None
     masses: dict[TrackKey, float] = {}
     found: dict[TrackKey, Cluster] = {}
-    for key in sorted(keys, key=lambda key: (-fit.members[key], key))[:TRIED]:
+    for key in sorted(here, key=lambda key: (-fit.members[key], key))[:TRIED]:
         known = before.without.get(key) if before is not None and base == before.base else None
-        cluster = _placed(history, keys - {key}, since, g, base, known)
+        cluster = _placed(history, here - {key}, since, g, base, known)
         if cluster is None:
             continue
         best = cluster.hypotheses[0]
@@ -108,6 +109,12 @@ def doubt_about(
     certain = sum(exp(mass - best_mass) for mass in masses.values()) <= 1 / CERTAIN
     liars = [key for key in found if certain and masses[key] >= best_mass]
     return _again(Doubt(g, keys, found, base, liars[0], 1), before) if liars else Doubt(g, keys, found, base)
+
+
+def _end(whole: Component, key: TrackKey) -> float:
+    """Until when a track reaches [s]."""
+    stretch = whole.stretches[key]
+    return (stretch.first + len(stretch.poses) - 1) / KEYFRAMES_PER_SECOND
 
 
 def _again(doubt: Doubt, before: Doubt | None) -> Doubt:

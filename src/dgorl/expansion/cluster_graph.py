@@ -67,7 +67,7 @@ class ClusterGraph:
     newest: Indices
     """index of the newest pose of every track"""
     soft: Indices
-    """the poses that carry the weak prior Π: the newest of one track a body, but the first body's"""
+    """the poses that carry the weak prior Π: the newest of each body, but the first body's"""
     pi: Array
     """(3,) diagonal of Π"""
 
@@ -112,17 +112,17 @@ def cluster_graph(
     window = assemble(history, component, base / KEYFRAMES_PER_SECOND, limit, pin)
     body = np.zeros(len(window.problem.initial), np.int64)
     newest: list[int] = []
-    soft: dict[int, int] = {}
-    for key, (offset, _, count) in window.layout.items():
+    soft: dict[int, tuple[int, int]] = {}
+    for key, (offset, begin, count) in window.layout.items():
         b = next(k for k, group in enumerate(groups) if key in group)
         body[offset : offset + count] = b
         newest.append(offset + count - 1)
-        soft.setdefault(b, offset + count - 1)
+        soft[b] = max(soft.get(b, (0, 0)), (begin + count, -newest[-1]))  # of equals, the first by name
     world = window.world is not None
     if world:
         body[window.world] = next((k for k, g in enumerate(groups) if any(key.robot == "world" for key in g)), 0)
     reference = int(body[window.world]) if world else int(body[newest[0]])
-    weak = [index for b, index in soft.items() if b != reference]
+    weak = [-index for b, (_, index) in soft.items() if b != reference]
     sigma = _farthest(history, window)
     return ClusterGraph(
         window,

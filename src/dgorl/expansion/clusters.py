@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from math import inf
 
 import numpy as np
@@ -45,10 +46,9 @@ def advance(
     kept, clusters = list(range(len(components))), []
     joined: list[Component] = []
     with stage(FORMATION):
-        sets = _linked(step, members)
-    for linked, first in sets:
+        sets = list(_sets(step, previous, components, members))
+    for linked, first, before in sets:
         mine = [components[k] for k in linked]
-        before = _before(previous, mine)
         try:
             cluster = expanded(step, before, mine, first)
         except ValueError:  # the graph leaves a pose undetermined: nothing can be said of these
@@ -67,11 +67,46 @@ def advance(
     return [*(components[k] for k in kept), *joined], clusters
 
 
-def _linked(step: Step, members: Mapping[TrackKey, int]) -> list[tuple[list[int], float]]:
-    """Sets of two or more components that readings of the last ``history`` seconds link, and the stamp of the first."""
-    horizon = step.history.horizon(step.g)
+def _sets(
+    step: Step, previous: Sequence[Cluster], components: Sequence[Component], members: Mapping[TrackKey, int]
+) -> Iterator[tuple[list[int], float, Cluster | None]]:
+    """Sets of two or more components that readings link, the stamp of the first [s], and the cluster they were.
+
+    Readings count where the graph has poses of both ends. Those of a robot's earlier epoch may all be older: then it is
+    no part of the set, as nothing would determine it, nor anybody with it.
+    """
+    reach = _reach(step.since, previous, components)
+    waiting = _linked(step, members, reach, step.history.horizon(step.g))
+    while waiting:
+        linked, first = waiting.pop(0)
+        before = _before(previous, [components[k] for k in linked])
+        base = -inf if before is None else before.base / KEYFRAMES_PER_SECOND
+        if first < base:
+            waiting += _linked(step, {key: k for key, k in members.items() if k in linked}, reach, base)
+        else:
+            yield linked, first, before
+
+
+def _reach(
+    since: Mapping[TrackKey, float], previous: Sequence[Cluster], components: Sequence[Component]
+) -> Mapping[TrackKey, float]:
+    """From when on readings of a track count [s]: joined ones have no older poses, but as part of hypotheses."""
+    supposed = {key: s.first for c in previous for key, s in c.hypotheses[0].component.stretches.items()}
+    joined = {
+        key: min(component.stretches[key].first, supposed.get(key, inf)) / KEYFRAMES_PER_SECOND
+        for component in components
+        if len(component.stretches) > 1
+        for key in component.tracks
+    }
+    return {key: max(joined.get(key, -inf), since.get(key, -inf)) for key in (*joined, *since)}
+
+
+def _linked(
+    step: Step, members: Mapping[TrackKey, int], since: Mapping[TrackKey, float], low: float
+) -> list[tuple[list[int], float]]:
+    """Sets of two or more components that readings since ``low`` [s] link, and the stamp of the first."""
     between: dict[tuple[int, int], tuple[int, float]] = {}
-    for (a, b), contact in contacts(step.history, horizon, step.g, step.since).items():
+    for (a, b), contact in contacts(step.history, low, step.g, since).items():
         if a in members and b in members and members[a] != members[b]:
             pair = min(members[a], members[b]), max(members[a], members[b])
             readings, first = between.get(pair, (0, inf))
@@ -80,12 +115,12 @@ def _linked(step: Step, members: Mapping[TrackKey, int]) -> list[tuple[list[int]
     for pair, (readings, first) in sorted(between.items()):
         if readings < ENOUGH:
             continue
-        joined, since = set(pair), first
+        joined, begin = set(pair), first
         for other in [s for s in sets if s[0] & joined]:
             sets.remove(other)
-            joined, since = joined | other[0], min(since, other[1])
-        sets.append((joined, since))
-    return [(sorted(joined), since) for joined, since in sorted(sets, key=lambda s: min(s[0]))]
+            joined, begin = joined | other[0], min(begin, other[1])
+        sets.append((joined, begin))
+    return [(sorted(joined), begin) for joined, begin in sorted(sets, key=lambda s: min(s[0]))]
 
 
 def _before(previous: Sequence[Cluster], components: Sequence[Component]) -> Cluster | None:
@@ -100,24 +135,38 @@ def _joined(step: Step, cluster: Cluster, components: Sequence[Component], bound
     keys = {key for component in components for key in component.stretches}
     best = restricted(cluster.hypotheses[0].component, keys)
     low = cluster.base / KEYFRAMES_PER_SECOND
-    weak = _weak(best, components, step)
+    weak = _weak(best, components)
     best = Component(best.stretches, (*best.priors, *weak), internal_links(step, best, low))
     return settled(step.history, best, low, step.g, boundary).component
 
 
-def _weak(best: Component, components: Sequence[Component], step: Step) -> tuple[Prior, ...]:
-    """Π between the first track and the first of each other component, where both stand at the newest keyframe."""
-    first = best.tracks[0]
-    newest = {key: s.first + len(s.poses) - 1 for key, s in best.stretches.items()}
+def _weak(best: Component, components: Sequence[Component]) -> tuple[Prior, ...]:
+    """Π between the body of the first track and each other one, at the newest keyframe where a track of both stands.
+
+    A robot's earlier epoch is a track that ends, perhaps before the cluster begins: it need not be in ``best``.
+    """
+    bodies = [[key for key in component.tracks if key in best.stretches] for component in components]
+    first = next(body for body in bodies if best.tracks[0] in body)
     found = []
-    for component in components:
-        other = component.tracks[0]
-        keyframe = min(newest[first], newest[other])
-        if first in component.stretches or keyframe < max(best.stretches[first].first, best.stretches[other].first):
+    for body in bodies:
+        abreast = None if body is first else _abreast(best, first, body)
+        if abreast is None:
             continue
-        a, b = (best.stretches[key].poses[keyframe - best.stretches[key].first] for key in (first, other))
+        keyframe, pair = abreast
+        a, b = (best.stretches[key].poses[keyframe - best.stretches[key].first] for key in pair)
         relative = se2.between(a, b)
         sigma = max(float(np.hypot(relative[0], relative[1])), 5.0)
         information = np.diag([sigma**-2, sigma**-2, np.pi**-2])
-        found.append(Prior(keyframe, first, (other,), relative[None], information, np.zeros(3)))
+        found.append(Prior(keyframe, pair[0], (pair[1],), relative[None], information, np.zeros(3)))
     return tuple(found)
+
+
+def _abreast(best: Component, a: Sequence[TrackKey], b: Sequence[TrackKey]) -> tuple[int, tuple[TrackKey, ...]] | None:
+    """The newest keyframe at which a track of both bodies stands, and these two; None if there is none."""
+    found = []
+    for pair in product(a, b):
+        ends = [best.stretches[key] for key in pair]
+        newest = min(s.first + len(s.poses) - 1 for s in ends)
+        if newest >= max(s.first for s in ends):
+            found.append((newest, pair))
+    return max(found, key=lambda item: item[0], default=None)  # of several the first in canonical order
