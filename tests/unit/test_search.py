@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import islice
+from itertools import combinations, islice
 from itertools import pairwise as successive
 
 import numpy as np
 import pytest
 
-from dgorl.expansion.search import best_graphs, brute_force
+from dgorl.expansion.search import EXPANSIONS, WIDTH, best_graphs, brute_force
 
 
 def draw(rng: np.random.Generator, shape: tuple[int, ...], trial: int) -> np.ndarray:
@@ -76,6 +76,95 @@ def test_few_partial_graphs_are_expanded(density):
         assert len({chosen for _, chosen in found}) == 10
         expanded.append(graphs.expanded)
     assert np.median(expanded) <= 1000
+
+
+def reference_beam(unary, pairwise, width):
+    """What a beam alone finds, by the definition: of each length the graphs of the highest bounds go on."""
+
+    def bound(chosen):
+        """The score so far, and for each member left the best it could do with the chosen ones and after it."""
+        total = sum(unary[i][a] for i, a in enumerate(chosen))
+        total += sum(t[chosen[i], chosen[j]] for (i, j), t in pairwise.items() if j < len(chosen))
+        for j in range(len(chosen), len(unary)):
+            able = unary[j].copy()
+            for (a, b), t in pairwise.items():
+                if b == j and a < len(chosen):
+                    able = able + t[chosen[a]]
+                elif a == j:
+                    able = able + t.max(axis=1)
+            total += able.max()
+        return -total, chosen
+
+    graphs = [()]
+    for u in unary:
+        best = sorted(b for b in map(bound, graphs) if b[0] < np.inf)[:width]
+        graphs = [(*chosen, a) for _, chosen in best for a in range(len(u))]
+    return sorted(b for b in map(bound, graphs) if b[0] < np.inf)
+
+
+def integer_tables(seed: int):
+    """Tables whose sums are exact in any order, many of them tied, some of them impossible."""
+    rng = np.random.default_rng(seed)
+    sizes = rng.integers(1, 5, rng.integers(1, 7))
+    unary = [rng.integers(-9, 9, k).astype(float) for k in sizes]
+    pairs = {}
+    for i, j in [pair for pair in combinations(range(len(sizes)), 2) if rng.random() < 0.8]:
+        pairs[i, j] = rng.integers(-9, 9, (sizes[i], sizes[j])).astype(float)
+        pairs[i, j][rng.random(pairs[i, j].shape) < 0.1] = -np.inf
+    return unary, pairs
+
+
+@pytest.mark.parametrize(("limit", "width"), [(0, 1), (1, 2), (7, 3), (40, 1), (40, 20)])
+def test_beyond_its_bound_the_search_yields_what_it_promises(limit, width):
+    reached = 0
+    for seed in range(300):
+        unary, pairwise = tables(seed)
+        every = brute_force(unary, pairwise)
+        graphs = best_graphs(unary, pairwise, limit, width)
+        exact = []
+        for graph in graphs:
+            if graphs.expanded > limit:  # the beam has been at work
+                reached += 1
+                rest = [graph, *graphs]
+                break
+            exact.append(graph)
+        else:
+            rest = []
+        assert exact == every[: len(exact)], seed
+        scores = {chosen: score for score, chosen in every}
+        assert all(scores[chosen] == score for score, chosen in rest), seed
+        assert rest == sorted(rest, key=lambda graph: (-graph[0], graph[1])), seed
+        assert len({chosen for _, chosen in exact + rest}) == len(exact) + len(rest), seed
+        assert graphs.expanded <= limit + width * len(unary), seed
+    assert reached > 30
+
+
+@pytest.mark.parametrize("width", [1, 3, 25])
+def test_after_its_bound_the_search_is_a_beam(width):
+    for seed in range(100):
+        unary, pairwise = integer_tables(seed)
+        found = [(-score, chosen) for score, chosen in best_graphs(unary, pairwise, 0, width)]
+        assert found == reference_beam(unary, pairwise, width), seed
+
+
+def test_a_beam_that_drops_nothing_is_exact():
+    for seed in range(100):
+        unary, pairwise = tables(seed)
+        assert list(best_graphs(unary, pairwise, seed % 9, 10**6)) == brute_force(unary, pairwise), seed
+
+
+def test_a_large_team_whose_scores_nearly_tie_costs_no_more_than_the_bound():
+    """Long ranges without line of sight spoil the bound of A*: it expanded half a million for 20 robots."""
+    rng = np.random.default_rng(4)
+    for n in (30, 45):
+        unary, pairwise = geometry(rng, n=n, density=0.3)
+        pairwise = {pair: np.maximum(t, -2.0) for pair, t in pairwise.items()}
+        graphs = best_graphs(unary, pairwise)
+        found = list(islice(graphs, 20))
+        assert EXPANSIONS < graphs.expanded <= EXPANSIONS + WIDTH * n
+        assert len({chosen for _, chosen in found}) == 20
+        assert all(a[0] >= b[0] for a, b in successive(found))
+        assert all(len(chosen) == n for _, chosen in found)
 
 
 def test_equal_scores_come_in_order_of_the_candidates_and_lazily():
