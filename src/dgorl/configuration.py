@@ -13,9 +13,8 @@ from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-import yaml
-
 from dgorl.errors import ConfigurationError
+from dgorl.plain_yaml import PlainYamlError, plain_yaml
 
 Kernel = Literal["none", "huber", "cauchy", "huber_negative", "cauchy_negative"]
 Solver = Literal["native", "g2o", "gtsam"]
@@ -206,13 +205,13 @@ def merge(base: Configuration, changes: Mapping[str, Any], source: str) -> Confi
 def load(path: str | Path) -> Mapping[str, Any]:
     """The mapping in a YAML file. Raises ConfigurationError with file and line."""
     try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        data, _ = plain_yaml(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        raise ConfigurationError(f"{path}{line}: not YAML: {getattr(error, 'problem', error)}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: not YAML: not UTF-8 text") from error
+    except PlainYamlError as error:
+        raise ConfigurationError(f"{path}:{error.line}: {error}") from error
     if data is None:
         return {}
     if not isinstance(data, dict):

@@ -15,6 +15,7 @@ from dgorl.configuration import Configuration, as_dict, merge, nearest
 from dgorl.errors import ConfigurationError, LogError
 from dgorl.logs.text import text_of
 from dgorl.measurements import WORLD
+from dgorl.plain_yaml import PlainYamlError, plain_yaml
 
 SECTIONS = ("antennas", "radio", "ranging", "bearings", "motion")
 """Sections of the configuration a log may state about itself."""
@@ -72,12 +73,9 @@ class _Reader:
         self.path = path
         text = text_of(path)
         try:
-            node = yaml.compose(text, Loader=yaml.SafeLoader)
-            self.data = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError) as error:
-            mark = getattr(error, "problem_mark", None)
-            what = getattr(error, "problem", None) or str(error)
-            raise LogError(path, mark.line + 1 if mark else None, f"not YAML: {what}") from error
+            self.data, node = plain_yaml(text)
+        except PlainYamlError as error:
+            raise LogError(path, error.line, str(error)) from error
         if not isinstance(self.data, dict):
             raise LogError(path, 1, "must say `robots: [r1, r2]` and may say more, got no mapping")
         self.lines: dict[str, int] = {}

@@ -15,12 +15,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import yaml
-
 from dgorl.configuration import Configuration, as_dict, merge, nearest
 from dgorl.errors import ConfigurationError, MeasurementError
 from dgorl.logs.log import Start
 from dgorl.logs.team import key_lines, valid_name
+from dgorl.plain_yaml import PlainYamlError, plain_yaml
 from dgorl.replay import start_priors
 from dgorl.team.keys import KeyFileError, Roster, public_key
 from dgorl.team.messages import HASH_BYTES
@@ -84,12 +83,9 @@ class _Reader:
             what = getattr(error, "strerror", None) or "not UTF-8 text"
             raise ConfigurationError(f"{path}: cannot be read: {what}") from error
         try:
-            node = yaml.compose(text, Loader=yaml.SafeLoader)
-            self.data = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-            mark = getattr(error, "problem_mark", None)
-            line = f":{mark.line + 1}" if mark else ""
-            raise ConfigurationError(f"{path}{line}: not YAML: {getattr(error, 'problem', error)}") from error
+            self.data, node = plain_yaml(text)
+        except PlainYamlError as error:
+            raise ConfigurationError(f"{path}:{error.line}: {error}") from error
         if not isinstance(self.data, dict):
             raise ConfigurationError(f"{path}:1: must be a mapping with `team` and `robots`")
         self.lines: dict[str, int] = {}
