@@ -21,7 +21,7 @@ class _Plain(yaml.SafeLoader):
     """Refuses anchors and aliases: a few hundred bytes of them stand for gigabytes, and no setting needs any."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         if getattr(event, "anchor", None) is not None:
             kind = "an alias (`*`)" if isinstance(event, yaml.AliasEvent) else "an anchor (`&`)"
             what = f"{kind} is not taken here: write the value out"

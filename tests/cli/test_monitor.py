@@ -6,12 +6,15 @@ import json
 import os
 import pty
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
+from dgorl.team.zenoh_transport import open_session
 
 from .commandline import ENVIRONMENT, Dgorl, command, fails_well
 from .live_team import LiveTeam, live_team
@@ -142,6 +145,27 @@ def test_doctor_says_who_is_missing_as_json(dgorl: Dgorl, tmp_path: Path) -> Non
     for robot, problem in zip(("r2", "r3"), problems, strict=True):
         address = team.data["transport"]["addresses"][robot]
         assert problem == f"{robot} is not on the network ({address}: the machine is there, no agent listens)"
+
+
+def test_strangers_names_reach_no_terminal(dgorl: Dgorl, team: LiveTeam) -> None:
+    """Anybody on the network may be called what he likes: escape sequences, lines of his own."""
+    names = ("\x1b]0;owned\x07", "y\n✓ network nobody to see here", "\x9b1mz")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    watched = team.write("watched.yaml", {"transport": {**team.data["transport"], "connect": [endpoint]}})
+    settings = {"mode": "peer", "listen/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    with open_session(settings) as stranger:
+        tokens = [stranger.liveliness().declare_token(f"dgorl/lab/{name}/alive") for name in names]
+        heard = dgorl("doctor", "--team", watched, "--seconds", "3")
+        seen = dgorl("monitor", "--team", watched, "--once")
+        for token in tokens:
+            token.undeclare()
+    said = heard.stdout + heard.stderr + seen.stdout + seen.stderr
+    assert all(c.isprintable() or c == "\n" for c in said)
+    assert not any(word in said for word in ("owned", "nobody to see", "1mz"))
+    assert "3 on the network under a name that no robot can have" in heard.stdout
+    assert "under names that no robot can have: 3" in seen.stdout
 
 
 def test_nobody_is_heard(dgorl: Dgorl, tmp_path: Path) -> None:

@@ -322,5 +322,5 @@ def test_a_peer_whose_name_is_markup_is_shown_as_it_is() -> None:
         "rejected_here": {},
     }  # fmt: skip
     console = Console(record=True, width=100, file=io.StringIO())
-    console.print(tables({"team": "lab", "robots": {"r1": robot}, "strangers": []}, None))
+    console.print(tables({"team": "lab", "robots": {"r1": robot}, "strangers": [], "nameless": 0}, None))
     assert "[/]" in console.export_text()

@@ -6,7 +6,6 @@ Example: dgorl doctor --team team.yaml
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
@@ -20,10 +19,12 @@ from tyro.conf import Positional, arg
 
 from dgorl import logs
 from dgorl.cli.parsing import File
+from dgorl.cli.terminal import terminal, words
 from dgorl.errors import DgorlError, LogError
 from dgorl.findings import Finding, Level, problem
 from dgorl.installation import installation
 from dgorl.logs.checkup import checkup
+from dgorl.printable import json_line
 
 MARKS = {Level.OK: ("✓", "green"), Level.NOTE: ("·", "yellow"), Level.PROBLEM: ("✗", "bold red")}
 
@@ -49,7 +50,7 @@ class Options:
 def main(options: Options) -> None:
     """Say what was found. Raises DgorlError, exit code 1, if there are problems."""
     findings = []
-    console = Console(highlight=False)
+    console = terminal()
     for finding in examined(options):
         findings.append(finding)
         if not options.json:
@@ -57,7 +58,7 @@ def main(options: Options) -> None:
     counts = Counter(finding.level for finding in findings)
     if options.json:
         found = [dataclasses.asdict(finding) for finding in findings]
-        print(json.dumps({"well": not counts[Level.PROBLEM], "findings": found}, ensure_ascii=False))
+        print(json_line({"well": not counts[Level.PROBLEM], "findings": found}))
     if counts[Level.PROBLEM]:
         what = "1 problem" if counts[Level.PROBLEM] == 1 else f"{counts[Level.PROBLEM]} problems"
         first = next(finding for finding in findings if finding.level == Level.PROBLEM)
@@ -98,18 +99,18 @@ def _network(path: Path, options: Options) -> Iterator[Finding]:
         with closing(Watcher(team, options.name)) as watcher:
             for _ in watcher.listen(options.seconds):
                 pass
-            present, now = watcher.network.present(), watcher.now()
+            present, nameless, now = watcher.network.present(), watcher.network.nameless, watcher.now()
     except DgorlError as error:
         yield problem("network", str(error), "nobody of the team can be heard from here until that is put right")
         return
-    yield from diagnosis(Heard(team, watcher.watch, present, now, options.seconds))
+    yield from diagnosis(Heard(team, watcher.watch, present, now, options.seconds, nameless))
 
 
 def _show(finding: Finding, console: Console) -> None:
     mark, style = MARKS[finding.level]
     line = Text(f"{mark} ", style=style)
     line.append(f"{finding.area:<8}", style="dim" if finding.level == Level.OK else style)
-    line.append(finding.what, style="")
+    line.append(words(finding.what))
     if finding.advice:
-        line.append(f" → {finding.advice}", style="italic")
+        line.append(words(f" → {finding.advice}", style="italic"))
     console.print(line, soft_wrap=True)

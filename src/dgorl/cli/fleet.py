@@ -9,7 +9,6 @@ import dataclasses
 import json
 import re
 import signal
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -25,12 +24,14 @@ from dgorl.cli.estimation import EstimationOptions
 from dgorl.cli.parsing import LogPath, Names, Seconds
 from dgorl.cli.session import Session, kinds_in
 from dgorl.cli.table import show
+from dgorl.cli.terminal import terminal, words
 from dgorl.configuration import Configuration, nearest
 from dgorl.errors import ConfigurationError, DgorlError, MissingExtraError
 from dgorl.evaluation import output
 from dgorl.logs.log import Log
 from dgorl.measurements import known_at
 from dgorl.plotting.figures import write_figures
+from dgorl.printable import json_line
 from dgorl.replay import known_starts
 from dgorl.simulation import Scenario, simulate
 from dgorl.team import fleet_results
@@ -84,9 +85,9 @@ def main(options: Options) -> None:
     """Run the team, write what it estimated, print the table and the checks."""
     fleet = fleet_of(options)
     output.prepare(options.out)
-    errors = Console(stderr=True, highlight=False)
+    errors = terminal(stderr=True)
     if errors.is_terminal:
-        errors.print(f"{len(fleet.log.robots)} agents, {(fleet.last - fleet.first) / fleet.rate:.0f} s", markup=False)
+        errors.print(f"{len(fleet.log.robots)} agents, {(fleet.last - fleet.first) / fleet.rate:.0f} s")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no agent stays behind
     run(fleet)
     _report(options, fleet, errors)
@@ -134,19 +135,18 @@ def _report(options: Options, fleet: Fleet, errors: Console) -> None:
     summary = output.write(records, fleet.configuration, about, options.out)
     final = json.dumps(fleet_results.final_of(fleet, checks), ensure_ascii=False, allow_nan=False)
     (options.out / "final.json").write_text(final + "\n", encoding="utf-8")
-    words = errors if options.json else Console(highlight=False)
-    show(summary, words)
+    out = errors if options.json else terminal()
+    show(summary, out)
     for line in _said(checks):
-        words.print(line, soft_wrap=True, markup=False)
-    words.print(f"Results: {options.out}", soft_wrap=True, markup=False)
+        out.print(words(line), soft_wrap=True)
+    out.print(words(f"Results: {options.out}"), soft_wrap=True)
     try:
         if checks.last:
             write_figures(fleet_results.drawn(fleet, reports, checks.last), options.out / "figures")
     except MissingExtraError as error:
-        errors.print(str(error), soft_wrap=True, markup=False)
+        errors.print(words(str(error)), soft_wrap=True)
     if options.json:
-        json.dump(summary, sys.stdout, ensure_ascii=False, allow_nan=False)
-        print()
+        print(json_line(summary))
 
 
 def _said(checks: fleet_results.Checks) -> list[str]:

@@ -5,7 +5,6 @@ Example: dgorl keys --robot r1 --out r1.key
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +13,7 @@ from tyro.conf import arg
 
 from dgorl.errors import DgorlError
 from dgorl.logs.team import valid_name
+from dgorl.printable import json_line, printable
 from dgorl.team.keys import load_key, make_key
 
 
@@ -39,6 +39,7 @@ def main(options: Options) -> None:
     key = load_key(path) if options.show else make_key(path)
     line = f"{options.robot}: {{key: {key.public}}}"
     if options.json:
-        print(json.dumps({"robot": options.robot, "file": str(path), "public": key.public, "team_yaml": line}))
+        print(json_line({"robot": options.robot, "file": str(path), "public": key.public, "team_yaml": line}))
     else:
-        print(f"{path}: the private half, for {options.robot} alone\nBelow `robots:` in team.yaml:\n  {line}")
+        print(printable(f"{path}: the private half, for {options.robot} alone"))
+        print(f"Below `robots:` in team.yaml:\n  {line}")

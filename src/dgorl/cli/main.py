@@ -12,6 +12,7 @@ import dgorl
 from dgorl.cli.interrupts import interruptible
 from dgorl.configuration import nearest
 from dgorl.errors import DgorlError
+from dgorl.printable import printable
 
 COMMANDS = {
     "demo": "simulate a team, or take a log, localise it, draw pictures",
@@ -67,7 +68,7 @@ def _dispatch(arguments: list[str]) -> int:
             module.main(arguments[1:])
     else:
         what = f"unknown command `{command}`{nearest(command, COMMANDS)}" if command else "no command given"
-        print(f"dgorl: {what}\n\n{_overview()}", file=sys.stderr)
+        print(f"dgorl: {printable(what)}\n\n{_overview()}", file=sys.stderr)
         return USAGE
     return OK
 
@@ -84,5 +85,5 @@ def _overview() -> str:
 
 
 def _fail(what: str) -> int:
-    print(f"dgorl: {' '.join(what.split())}", file=sys.stderr)
+    print(f"dgorl: {printable(' '.join(what.split()))}", file=sys.stderr)
     return FAILURE

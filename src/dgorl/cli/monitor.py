@@ -5,22 +5,22 @@ Example: dgorl monitor --team team.yaml --robot r1
 
 from __future__ import annotations
 
-import json
 import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from rich.console import Console
 from rich.live import Live
 from tyro.conf import arg
 
 from dgorl.cli.parsing import File
+from dgorl.cli.terminal import terminal
 from dgorl.cli.watch_table import WIDTH, tables
 from dgorl.cli.watcher import Watcher
 from dgorl.configuration import nearest
 from dgorl.errors import ConfigurationError
+from dgorl.printable import json_line
 from dgorl.team.team_file import TeamFile
 
 
@@ -71,7 +71,7 @@ def main(options: Options) -> None:
 
 
 def _follow(watcher: Watcher, options: Options) -> None:
-    console = Console(highlight=False)
+    console = terminal()
     if options.json or not console.is_terminal:
         while True:
             for _ in watcher.listen(options.every):
@@ -88,10 +88,10 @@ def _print(state: dict[str, Any], options: Options) -> None:
     if options.json:
         if options.robot is not None:
             state = state | {"robots": {options.robot: state["robots"][options.robot]}}
-        print(json.dumps(state, ensure_ascii=False, allow_nan=False), flush=True)
+        print(json_line(state), flush=True)
         return
-    console = Console(highlight=False)
+    console = terminal()
     if not console.is_terminal:
-        console = Console(highlight=False, width=max(console.width, WIDTH))
+        console = terminal(width=max(console.width, WIDTH))
     console.print(tables(state, options.robot))
     sys.stdout.flush()

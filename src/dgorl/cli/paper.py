@@ -5,10 +5,8 @@ Example: dgorl paper --out out/paper --trials 10
 
 from __future__ import annotations
 
-import json
 import os
 import platform
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 from tyro.conf import arg
 
+from dgorl.cli.terminal import terminal, words
 from dgorl.errors import ConfigurationError, DgorlError, MissingExtraError
 from dgorl.evaluation import answers
 from dgorl.evaluation.claims import FIRST, Claim
@@ -30,6 +29,7 @@ from dgorl.evaluation.report import cells, write_claims
 from dgorl.evaluation.results import Parts, parquet
 from dgorl.evaluation.trials import Outcome, Trial
 from dgorl.plotting.experiment import write_figures
+from dgorl.printable import json_line
 
 COLUMNS = (0, 1, 2, 3, 6, 7)
 """of the claims' table that fit a terminal"""
@@ -60,26 +60,25 @@ class Options:
 def main(options: Options) -> None:
     """Run what is missing, then write tables, figures and claims."""
     paper = Paper(trials=options.trials, seed=options.seed, steps=options.steps, sweep=options.sweep)
-    errors = Console(stderr=True, highlight=False)
+    errors = terminal(stderr=True)
     parts = _prepare(options)
     try:
         outcome, sweeps, found = _measure(options, paper, parts, errors)
     except KeyboardInterrupt:
         again = "the same command goes on from there"
-        errors.print(f"finished trials are kept in {parts.folder}; {again}", soft_wrap=True, markup=False)
+        errors.print(words(f"finished trials are kept in {parts.folder}; {again}"), soft_wrap=True)
         raise
     summary = write_claims(found, _setting(options), options.out)
-    words = errors if options.json else Console(highlight=False)
-    _show(found, words)
-    words.print(f"Claims: {options.out / 'claims.md'}", soft_wrap=True, markup=False)
+    out = errors if options.json else terminal()
+    _show(found, out)
+    out.print(words(f"Claims: {options.out / 'claims.md'}"), soft_wrap=True)
     try:
         pictures = write_figures(paper.scenario(0), outcome, sweeps, options.out / "figures")
-        words.print(f"Pictures: {pictures[0]} and {len(pictures) - 1} more beside it", soft_wrap=True, markup=False)
+        out.print(words(f"Pictures: {pictures[0]} and {len(pictures) - 1} more beside it"), soft_wrap=True)
     except MissingExtraError as error:
-        errors.print(str(error), soft_wrap=True, markup=False)
+        errors.print(words(str(error)), soft_wrap=True)
     if options.json:
-        json.dump(summary, sys.stdout, ensure_ascii=False, allow_nan=False)
-        print()
+        print(json_line(summary))
 
 
 def _prepare(options: Options) -> Parts:

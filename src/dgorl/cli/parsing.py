@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from collections.abc import Sequence
+from contextlib import nullcontext, redirect_stderr
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -11,6 +14,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from dgorl.configuration import nearest
+from dgorl.printable import printable
 
 T = TypeVar("T")
 
@@ -48,14 +52,21 @@ _registry = ConstructorRegistry()
 
 def parse(options: type[T], command: str, description: str | None, arguments: Sequence[str]) -> T:
     """The options of ``dgorl COMMAND``; prints help or a usage error and leaves by SystemExit (0 or 2)."""
-    with _registry:
-        return tyro.cli(
-            options,
-            prog=f"dgorl {command}",
-            description=description,
-            args=list(arguments),
-            config=(FlagCreatePairsOff,),
-        )
+    said = io.StringIO()
+    # tyro repeats arguments as they are, and a shell's `*` makes file names arguments.
+    plain = all(argument == printable(argument) for argument in arguments)
+    try:
+        with _registry, nullcontext() if plain else redirect_stderr(said):
+            return tyro.cli(
+                options,
+                prog=f"dgorl {command}",
+                description=description,
+                args=list(arguments),
+                config=(FlagCreatePairsOff,),
+            )
+    finally:
+        for line in said.getvalue().splitlines():
+            print(printable(line), file=sys.stderr)
 
 
 @_registry.primitive_rule

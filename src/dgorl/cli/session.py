@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +11,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dgorl.cli.table import show
+from dgorl.cli.terminal import terminal, words
 from dgorl.configuration import Configuration, load, merge
 from dgorl.errors import DgorlError, MissingExtraError
 from dgorl.evaluation import output
 from dgorl.evaluation.records import collect
 from dgorl.logs.log import KINDS, Log
 from dgorl.plotting.figures import write_figures
+from dgorl.printable import json_line
 from dgorl.replay import Replay, Tick, replay
 
 
@@ -49,17 +49,16 @@ def default_folder(log: Path) -> Path:
 
 def report(session: Session, *, json_wanted: bool) -> None:
     """Localise, write everything, print the table; as JSON on stdout if wanted, the words on stderr then."""
-    errors = Console(stderr=True, highlight=False)
-    words = errors if json_wanted else Console(highlight=False)
+    errors = terminal(stderr=True)
+    out = errors if json_wanted else terminal()
     summary, pictures = localize(session, errors)
-    show(summary, words)
-    words.print(f"Results: {session.out}", soft_wrap=True, markup=False)
+    show(summary, out)
+    out.print(words(f"Results: {session.out}"), soft_wrap=True)
     if pictures:
         more = f" and {len(pictures) - 1} more beside it" if len(pictures) > 1 else ""
-        words.print(f"Pictures: {pictures[0]}{more}", soft_wrap=True, markup=False)
+        out.print(words(f"Pictures: {pictures[0]}{more}"), soft_wrap=True)
     if json_wanted:
-        json.dump(summary, sys.stdout, ensure_ascii=False, allow_nan=False)
-        print()
+        print(json_line(summary))
 
 
 def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Path]]:
@@ -89,7 +88,7 @@ def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Pa
     try:
         return summary, write_figures(records, session.out / "figures")
     except MissingExtraError as error:
-        errors.print(str(error), soft_wrap=True, markup=False)
+        errors.print(words(str(error)), soft_wrap=True)
         return summary, []
 
 

@@ -5,7 +5,6 @@ Example: dgorl simulate --robots 4 --sensors range,bearing --seed 1 --out logs/f
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from dgorl import logs
 from dgorl.errors import DgorlError
+from dgorl.printable import json_line, printable
 from dgorl.simulation import Scenario, simulate
 
 
@@ -35,9 +35,9 @@ def main(options: Options) -> None:
     logs.write(log, options.out)
     count = len(log.measurements)
     if options.json:
-        print(json.dumps({"log": str(options.out), "robots": list(log.robots), "measurements": count}))
+        print(json_line({"log": str(options.out), "robots": list(log.robots), "measurements": count}))
     else:
-        print(f"{options.out}: {len(log.robots)} robots, {count} measurements")
+        print(printable(f"{options.out}: {len(log.robots)} robots, {count} measurements"))
 
 
 def check_replaceable(path: Path) -> None:

@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from dgorl.cli.terminal import words
+
 LOCATED = ("position", "tracked")
 ROWS = 12
 """of peers that are not located: more are counted, not listed"""
@@ -20,7 +22,7 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
     """Print the figures of each ego and of the team, or say in words why there are none."""
     robots, egos = summary["robots"], summary["egos"]
     if len(robots) < 2:
-        console.print(f"{robots[0]} is alone in this log: there is no peer to localise.")
+        console.print(words(f"{robots[0]} is alone in this log: there is no peer to localise."))
         return
     title = f"{len(robots)} robots, {summary['ticks']} ticks"
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
@@ -28,7 +30,7 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
     for name in COLUMNS:
         table.add_column(Text(name), justify="right", no_wrap=True)
     for ego, figures in egos.items():
-        table.add_row(ego, *_row(figures, figures["tick_ms"]["median"]))
+        table.add_row(words(ego), *_row(figures, figures["tick_ms"]["median"]))
     if len(egos) > 1:
         table.add_section()
         table.add_row("team", *_row(summary["team"], None), style="bold")
@@ -37,8 +39,8 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
     blind = [ego for ego, figures in egos.items() if not figures["truth_fraction"]]
     if blind:
         whom = "these ticks" if len(blind) == len(egos) else ", ".join(blind)
-        words = f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
-        console.print(words, soft_wrap=True, markup=False)
+        what = f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
+        console.print(words(what), soft_wrap=True)
     if not summary["measurements"]:
         what = "this is dead reckoning from the starts" if summary["initial"] == "known" else "nobody can be located"
         console.print(f"The log has no measurements between robots: {what}.")
@@ -59,7 +61,7 @@ def _show_unlocated(egos: Mapping[str, Any], console: Console) -> None:
     table.add_column("why", ratio=3)
     table.add_column("would help", ratio=2)
     for (ego, status, reason, help_), peers in list(rows.items())[:ROWS]:
-        table.add_row(*(Text(cell) for cell in (ego, ", ".join(peers), status, reason, help_)))
+        table.add_row(*(words(cell) for cell in (ego, ", ".join(peers), status, reason, help_)))
     console.print(table)
     if len(rows) > ROWS:
         console.print(f"… and {len(rows) - ROWS} more rows like these; summary.json has all.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dgorl.errors import DgorlError, MissingExtraError
 from dgorl.plotting.live import draw_live
 from dgorl.plotting.style import picture
+from dgorl.printable import printable
 from dgorl.team.bulletin import Bulletin
 from dgorl.team.report import estimates_of
 
@@ -34,7 +35,7 @@ def view(watcher: Watcher, robot: str | None, every: float, out: Path | None, *,
         watcher.meet(patience)
         _file(watcher, robot, out)
         return
-    print(f"{out} is drawn anew every {every:g} s; Ctrl-C ends it", file=sys.stderr)
+    print(printable(f"{out} is drawn anew every {every:g} s; Ctrl-C ends it"), file=sys.stderr)
     while True:
         for _ in watcher.listen(every):
             pass

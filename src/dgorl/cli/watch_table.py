@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dgorl.cli.table import LOCATED
+from dgorl.cli.terminal import words
 
 COLORS = {"tracked": "green", "position": "cyan", "unobservable": "yellow", "ambiguous": "magenta", "isolated": "red"}
 STALE = 3.0
@@ -32,7 +33,7 @@ def tables(state: Mapping[str, Any], ego: str | None) -> RenderableType:
     """
     robots = state["robots"]
     told = {name: r for name, r in robots.items() if r["says"] is not None and ego in (None, name)}
-    parts: list[RenderableType] = [Text(f"Team {state['team']}: {_heard(robots)}", style="bold")]
+    parts: list[RenderableType] = [words(f"Team {state['team']}: {_heard(robots)}", style="bold")]
     if told:
         table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
         table.add_column("robot", no_wrap=True)
@@ -44,7 +45,7 @@ def tables(state: Mapping[str, Any], ego: str | None) -> RenderableType:
         parts.append(table)
     if ego is not None and told:
         parts.extend(_reasons(told[ego]["says"]["peers"]))
-    parts.extend(Text(line, style="yellow") for line in remarks(state) if ego is None or line.startswith(f"{ego}:"))
+    parts.extend(words(line, style="yellow") for line in remarks(state) if ego is None or line.startswith(f"{ego}:"))
     return Group(*parts)
 
 
@@ -66,6 +67,8 @@ def remarks(state: Mapping[str, Any]) -> list[str]:
             lines.append(f"{name}: {'; '.join(what)}")
     if state["strangers"]:
         lines.append(f"not in the team file, on the network: {', '.join(state['strangers'])}")
+    if state["nameless"]:
+        lines.append(f"on the network under names that no robot can have: {state['nameless']}")
     return lines
 
 
@@ -86,8 +89,8 @@ def _add(table: Table, name: str, robot: Mapping[str, Any]) -> None:
         x, y, theta = seen["pose"] or (None, None, None)
         table.add_row(
             *head,
-            Text(peer),
-            Text(seen["status"], style=COLORS.get(seen["status"], "")),
+            words(peer),
+            words(seen["status"], style=COLORS.get(seen["status"], "")),
             _number(x, 1),
             _number(y, 1),
             _number(None if theta is None else degrees(theta), 0),
@@ -104,8 +107,8 @@ def _reasons(peers: Mapping[str, Any]) -> list[RenderableType]:
     lines: list[RenderableType] = []
     for name, seen in peers.items():
         if seen["status"] not in LOCATED or seen["reason"]:
-            words = [seen["reason"], f"would help: {seen['resolve_by']}" if seen["resolve_by"] else ""]
-            lines.append(Text(f"{name} {seen['status']}: {'; '.join(word for word in words if word)}"))
+            said = [seen["reason"], f"would help: {seen['resolve_by']}" if seen["resolve_by"] else ""]
+            lines.append(words(f"{name} {seen['status']}: {'; '.join(word for word in said if word)}"))
     return lines
 
 

@@ -36,7 +36,7 @@ class Watcher:
 
     def state(self) -> dict[str, Any]:
         """What is known now."""
-        return snapshot(self.team, self.watch, self.network.present(), self.now())
+        return snapshot(self.team, self.watch, self.network.present(), self.now(), self.network.nameless)
 
     def listen(self, seconds: float) -> Iterator[None]:
         """Take what comes for so long; yields now and then."""

@@ -19,6 +19,7 @@ from dgorl.plain_yaml import PlainYamlError, plain_yaml
 
 SECTIONS = ("antennas", "radio", "ranging", "bearings", "motion")
 """Sections of the configuration a log may state about itself."""
+LONGEST_NAME = 64
 KEYS = ("robots", "epochs", "start", "start_stamp", *SECTIONS)
 
 
@@ -42,8 +43,10 @@ class Team:
 
 
 def valid_name(name: object) -> bool:
-    """A robot's name stands in CSV rows and file names: letters, digits, `_`, `-` and dots."""
-    return isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name) is not None and name != WORLD
+    """A robot's name stands in CSV rows, file names and keys: up to 64 letters, digits, `_`, `-` and dots."""
+    if not isinstance(name, str) or len(name) > LONGEST_NAME or name == WORLD:
+        return False
+    return re.fullmatch(r"\w[\w.-]*", name) is not None
 
 
 def read_team(path: Path) -> Team:

@@ -17,7 +17,8 @@ from msgspec import Meta
 
 import dgorl
 from dgorl.estimate import Status
-from dgorl.measurements import LARGEST
+from dgorl.logs.team import valid_name
+from dgorl.measurements import LARGEST, WORLD
 from dgorl.team.envelope import Reason, Rejected, decoded, unwrap, verify, wrap
 from dgorl.team.keys import Roster, Signer
 from dgorl.team.messages import Head
@@ -149,6 +150,9 @@ def read_bulletin(payload: bytes, sender: str, roster: Roster) -> Bulletin:
     body = decoded(_bulletins, data)
     check_head(body, sender, roster)
     verify(BULLETINS, sender, signature, data, roster)
+    named = chain((peer.robot for peer in body.peers), body.present, (n for n, *_ in chain(body.clocks, body.losses)))
+    if not all(name == WORLD or valid_name(name) for name in named):
+        raise Rejected(Reason.MALFORMED, "a name that no robot can have")
     ages = (peer.age for peer in body.peers if peer.age is not None)
     if not all(map(isfinite, chain(ages, *(values for _, *values in body.clocks)))):
         raise Rejected(Reason.MALFORMED, "numbers that cannot be")

@@ -51,13 +51,17 @@ WRONG = {
 
 @dataclass(frozen=True)
 class Heard:
-    """What was heard of a team: present on the network, at ``now`` [s]; seconds: how long one listened."""
+    """What was heard of a team: present on the network, at ``now`` [s]; seconds: how long one listened.
+
+    nameless: how many are present under names that no robot can have.
+    """
 
     team: TeamFile
     watch: Watch
     present: Collection[str]
     now: float
     seconds: float
+    nameless: int = 0
 
 
 def diagnosis(heard: Heard, knock: Callable[[str], str] | None = None) -> tuple[Finding, ...]:
@@ -76,6 +80,9 @@ def _all(heard: Heard, knock: Callable[[str], str]) -> Iterator[Finding]:
         yield _here(heard, robot, seen) if robot in there else _missing(heard, robot, knock)
     for name in sorted({*heard.present, *heard.watch.strangers} - set(robots)):
         yield problem(AREA, f"{name} is on the network but not in {team.path}", "add it to `robots`, or end its agent")
+    if nameless := heard.nameless or int(heard.watch.nameless > 0):
+        what = f"{nameless} on the network under a name that no robot can have"
+        yield problem(AREA, what, "no program of the team does that: look for who is on this network")
     for robot in there:
         yield from _differs(heard, robots[robot])
         yield from _says(robots[robot], robots)

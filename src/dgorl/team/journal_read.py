@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from dgorl.errors import LogError
+from dgorl.logs.team import valid_name
 from dgorl.team.bundles import Bundle, Name
 from dgorl.team.envelope import Rejected, unwrap
 from dgorl.team.journal_schema import JournalError, Kind, Run, connect, facts_of
@@ -55,11 +56,15 @@ def contents(path: str | Path) -> Contents:
     try:
         with closing(_connected(path)) as database:
             facts = facts_of(database)
-            return _contents(path, facts["team"], facts["robot"], database)
+            found = _contents(path, facts["team"], facts["robot"], database)
     except JournalError as error:
         raise LogError(path, None, str(error)) from error
     except (sqlite3.Error, KeyError) as error:
         raise LogError(path, None, f"cannot be read as a journal: {error}") from error
+    named = {found.robot, *(name for story in found.stories for name in story.run.robots)}
+    if strange := sorted(name for name in named if not valid_name(name)):
+        raise LogError(path, None, f"`{strange[0]}` cannot be a robot's name: nothing that dgorl wrote")
+    return found
 
 
 def _connected(path: Path) -> sqlite3.Connection:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from typing import Any
 
-import msgspec
+from dgorl.printable import printable
 
 
 class JsonLines(logging.Formatter):
@@ -27,7 +28,7 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             said["exception"] = self.formatException(record.exc_info)
-        return msgspec.json.encode(said).decode()
+        return printable(json.dumps(said, ensure_ascii=False, separators=(",", ":"), default=str))
 
 
 def log_to_stderr(robot: str, level: str) -> None:

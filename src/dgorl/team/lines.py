@@ -11,6 +11,7 @@ import queue
 import threading
 from collections.abc import Iterator
 
+from dgorl.printable import printable_line
 from dgorl.team.intake import LONGEST_LINE
 
 WAITING = 10_000
@@ -56,9 +57,9 @@ class LinesOut:
         self._thread.start()
 
     def write(self, line: bytes) -> None:
-        """Queue a line; dropped when too many wait."""
+        """Queue a line of JSON; dropped when too many wait."""
         try:
-            self._queue.put_nowait(line)
+            self._queue.put_nowait(printable_line(line))
         except queue.Full:
             log.warning("nobody reads what is said: a line is lost")
 

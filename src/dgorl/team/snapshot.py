@@ -14,8 +14,10 @@ from dgorl.team.team_file import TeamFile
 from dgorl.team.watch import Seen, Watch
 
 
-def snapshot(team: TeamFile, watch: Watch, present: Collection[str], now: float) -> dict[str, Any]:
+def snapshot(team: TeamFile, watch: Watch, present: Collection[str], now: float, nameless: int = 0) -> dict[str, Any]:
     """Everything of a team, ready for JSON. present: who is on the network; now: the watcher's clock [s].
+
+    nameless: how many are there under names that no robot can have.
 
     ``clock.ahead_s``: of team time where clocks are estimated, else of the median of the robots heard.
     """
@@ -25,6 +27,7 @@ def snapshot(team: TeamFile, watch: Watch, present: Collection[str], now: float)
         "clock": team.configuration.clock,
         "robots": {robot: _robot(team, seen, robot in present, clocks, now) for robot, seen in watch.robots.items()},
         "strangers": sorted({*present, *watch.strangers} - set(team.robots)),
+        "nameless": nameless or int(watch.nameless > 0),
     }
 
 

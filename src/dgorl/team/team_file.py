@@ -18,7 +18,7 @@ from typing import Any
 from dgorl.configuration import Configuration, as_dict, merge, nearest
 from dgorl.errors import ConfigurationError, MeasurementError
 from dgorl.logs.log import Start
-from dgorl.logs.team import key_lines, valid_name
+from dgorl.logs.team import LONGEST_NAME, key_lines, valid_name
 from dgorl.plain_yaml import PlainYamlError, plain_yaml
 from dgorl.replay import start_priors
 from dgorl.team.keys import KeyFileError, Roster, public_key
@@ -28,7 +28,6 @@ from dgorl.team.network import Network, read_network
 SETTINGS = tuple(as_dict(Configuration()))
 KEYS = ("team", "robots", "insecure", "substep", "transport", "start", "start_stamp", *SETTINGS)
 MOST_ROBOTS = 64
-LONGEST_NAME = 64
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ class _Reader:
         robots: dict[str, str | None] = {}
         for name, entry in listed.items():
             where = f"robots.{name}"
-            if not valid_name(name) or len(name) > LONGEST_NAME:
+            if not valid_name(name):
                 raise self.error(where, f"`{name}` cannot be a robot's name (letters, digits, `_`, `-` and dots)")
             if not isinstance(entry or {}, dict) or any(key != "key" for key in entry or {}):
                 raise self.error(where, f"`{where}` must be `{{key: BASE64}}`, got {entry!r}")

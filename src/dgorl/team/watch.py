@@ -13,6 +13,7 @@ from math import inf
 
 import msgspec
 
+from dgorl.logs.team import valid_name
 from dgorl.team.bulletin import Bulletin, check_head, read_bulletin
 from dgorl.team.envelope import Reason, Rejected, decoded, unwrap, verify
 from dgorl.team.keys import Roster
@@ -68,12 +69,16 @@ class Seen:
 
 
 class Watch:
-    """What one sees of a team. robots: of the roster; strangers: messages by names that are not in it."""
+    """What one sees of a team. robots: of the roster; strangers: messages by names that are not in it.
+
+    nameless: messages by names that no robot can have.
+    """
 
     def __init__(self, roster: Roster) -> None:
         self._roster = roster
         self.robots = {robot: Seen(robot) for robot in roster.robots}
         self.strangers: Counter[str] = Counter()
+        self.nameless = 0
         self._inbound = {robot: Bucket(MESSAGES_PER_SECOND, 2 * MESSAGES_PER_SECOND) for robot in roster.robots}
         self._stamps = {(robot, kind): Stamps() for robot in roster.robots for kind in (Digest, Bulletin)}
 
@@ -82,7 +87,9 @@ class Watch:
         for message in messages:
             seen = self.robots.get(message.sender)
             if seen is None:
-                if message.sender in self.strangers or len(self.strangers) < STRANGERS:
+                if not valid_name(message.sender):
+                    self.nameless += 1
+                elif message.sender in self.strangers or len(self.strangers) < STRANGERS:
                     self.strangers[message.sender] += 1
                 continue
             try:

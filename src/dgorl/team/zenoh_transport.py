@@ -18,6 +18,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from dgorl.errors import DgorlError
+from dgorl.logs.team import valid_name
 from dgorl.team.gate import MESSAGES_PER_SECOND
 from dgorl.team.network import Network, zenoh_settings
 from dgorl.team.rates import Bucket
@@ -27,8 +28,8 @@ QUEUE = 4096
 """Messages kept between two polls; the newest beyond that are dropped and counted."""
 QUEUE_BYTES = 16 * 2**20
 """... and payload bytes."""
-PRESENT, LONGEST_NAME = 256, 64
-"""Beside the team's so many are noticed at most, by names of at most so many characters."""
+PRESENT = 256
+"""Beside the team's so many are noticed at most; those whose names no robot can have are counted."""
 RATE, BURST = 2 * MESSAGES_PER_SECOND, 4 * MESSAGES_PER_SECOND
 """What one sender says beyond this [1/s], and more at once, is not even copied: the gate would let in half of it."""
 BRAKE, EVERY = 0.01, 20
@@ -77,6 +78,7 @@ class ZenohTransport:
         self._inbox: deque[Received] = deque()
         self._waiting = 0
         self._present: set[str] = set()
+        self._nameless: set[str] = set()
         self._sent, self._sent_bytes, self._received, self._received_bytes, self._dropped = 0, 0, 0, 0, 0
         self._refused, self._excess, self._braking = 0, 0, Lock()
         self._keys: dict[str, tuple[str, str]] = {}
@@ -124,6 +126,12 @@ class ZenohTransport:
         """The other robots on the network now."""
         with self._lock:
             return frozenset(self._present)
+
+    @property
+    def nameless(self) -> int:
+        """How many are on the network now under names that no robot can have."""
+        with self._lock:
+            return len(self._nameless)
 
     @property
     def traffic(self) -> Traffic:
@@ -191,11 +199,12 @@ class ZenohTransport:
         robot, _ = _named(str(sample.key_expr))
         if robot == self._robot or not robot:
             return
+        known = self._present if valid_name(robot) else self._nameless
         with self._lock:
             if sample.kind != zenoh.SampleKind.PUT:
-                self._present.discard(robot)
-            elif robot in self._rates or (len(self._present) < PRESENT and len(robot) <= LONGEST_NAME):
-                self._present.add(robot)
+                known.discard(robot)
+            elif robot in self._rates or len(known) < PRESENT:
+                known.add(robot)
 
 
 def _named(key: str) -> tuple[str, str]:
