@@ -221,12 +221,12 @@ class History:
         for robot in sorted(odometry):
             if robot not in self.trails:
                 self.trails[robot] = Trail(robot, self.configuration.motion, self._silence)
-            in_order = self.trails[robot].add(odometry[robot])
+            since = self.trails[robot].add(odometry[robot])
             self._number(self.trails[robot])
             dirty = min(dirty, self._changed(self.trails[robot], odometry[robot]))
-            if not in_order:
+            if since < inf:
                 for table in self.tables.values():
-                    table.displace(robot)
+                    table.displace(robot, since)
         trails = self._heard_trails
         for kind, table in self.tables.items():
             dirty = min(dirty, table.add(readings[kind]))

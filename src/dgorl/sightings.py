@@ -141,12 +141,13 @@ class Table:
         done = (self._columns[3].view[rows] != UNPLACED) & (self._columns[4].view[rows] != UNPLACED)
         self._unplaced.difference_update(rows[done].tolist())
 
-    def displace(self, robot: str) -> None:
-        """The tracks of ``robot`` were rebuilt: place its rows anew."""
+    def displace(self, robot: str, since: float = -np.inf) -> None:
+        """The tracks of ``robot`` are others from ``since`` [s] on: place its rows anew."""
+        first = int(np.searchsorted(self._columns[0].view, since, "left"))
         for number, name in self._called.items():
             if name == robot:
-                a, b = (column.view == number for column in self._robots)
-                self._unplaced.update(np.flatnonzero(a | b).tolist())
+                a, b = (column.view[first:] == number for column in self._robots)
+                self._unplaced.update((first + np.flatnonzero(a | b)).tolist())
 
     def between(self, low: float, high: float) -> Rows:
         """Views of the rows with low ≤ stamp ≤ high."""

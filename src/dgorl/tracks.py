@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -69,18 +70,24 @@ class Trail:
         same = rows[first:last]
         return bool(len(same)) and bool(_equal(_wide(same), np.array(odometry_row(m, self._stated))).any())
 
-    def add(self, odometry: Sequence[Odometry | Displacement]) -> bool:
-        """Take new odometry; True when it came in order, False when the tracks were rebuilt."""
+    def add(self, odometry: Sequence[Odometry | Displacement]) -> float:
+        """Take new odometry; from which stamp [s] on others belong to another track than before, infinity if none do.
+
+        Odometry that comes in order may begin a track, and what is stamped as it begins is the new one's.
+        """
         rows = _in_order(np.array([odometry_row(m, self._stated) for m in odometry]))
         known = self._rows.view
         in_order = not len(known) or tuple(rows[0, :4]) > tuple(known[-1, :4])
+        before = len(self.tracks)
         if in_order:
             self._keep(rows)
             self.core.extend(rows)
         else:
             self._replace(_in_order(np.concatenate([_wide(known), rows])))
         self._name()
-        return in_order
+        if not in_order:
+            return -inf
+        return min((track.key.begin for track in self.tracks[before:]), default=inf)
 
     def at(self, stamp: float) -> Track | None:
         """The track that had begun by ``stamp``, the newest if several."""

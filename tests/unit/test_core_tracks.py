@@ -153,10 +153,10 @@ def test_forgetting_and_late_rows_keep_the_rest() -> None:
     rows = [Odometry("r1", k / 4, (k + 1) / 4, 0.5, 0.1 * k) for k in range(40)]
     whole, cut = Trail("r1", MOTION, 30.0), Trail("r1", MOTION, 30.0)
     whole.add(rows)
-    assert cut.add(rows[:30])
+    assert cut.add(rows[:30]) == 0.0  # where its track begins
     cut.forget(8)
-    assert cut.add(rows[31:])
-    assert not cut.add([rows[30]])
+    assert cut.add(rows[31:]) == np.inf
+    assert cut.add([rows[30]]) == -np.inf
     (a,), (b,) = whole.tracks, cut.tracks
     assert a.key == b.key
     assert b.core.first == 8
@@ -171,7 +171,7 @@ def test_forgetting_keeps_a_long_row_that_holds_short_ones() -> None:
     trail.forget(16)
     trail.add([Odometry("r1", 9.0, 10.0, 0.5, 0.1)])
     expected = _core.odometry([trail.tracks[0].core], [16], [18])
-    assert not trail.add([Odometry("r1", 8.5, 8.75, 0.4, 0.0)])  # tells nothing, but rebuilds
+    assert trail.add([Odometry("r1", 8.5, 8.75, 0.4, 0.0)]) == -np.inf  # tells nothing, but rebuilds
     for known, found in zip(expected, _core.odometry([trail.tracks[0].core], [16], [18]), strict=True):
         np.testing.assert_allclose(found, known, rtol=1e-12)
 
@@ -184,7 +184,7 @@ def test_forgetting_inside_a_gap_keeps_what_rebuilds_it(cut: int) -> None:
     part.add(rows[:-2])
     part.forget(cut)
     part.add(rows[-1:])
-    assert not part.add(rows[-2:-1])
+    assert part.add(rows[-2:-1]) == -np.inf
     (a,), (b,) = whole.tracks, part.tracks
     assert (a.key, a.core.last) == (b.key, b.core.last)
     span = [b.core.first], [b.core.last]
