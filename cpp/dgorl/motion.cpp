@@ -59,8 +59,9 @@ Vector3 part(const Vector3& delta, double share) {
 
 Step measured(const OdometryRow& row, const MotionModel& m) {
   const double duration = row.end - row.start;
-  Vector3 motion(row.values.x() * m.linear_scale, row.values.y() * m.linear_scale,
-                 row.values.z() * m.angular_scale);
+  // A displacement's turn is known but for whole turns, a difference of headings often one too many.
+  const double turned = row.twist ? row.values.z() : wrap(row.values.z());
+  Vector3 motion(row.values.x() * m.linear_scale, row.values.y() * m.linear_scale, turned * m.angular_scale);
   if (row.twist) motion *= duration;
   Step step{row.start + m.lag, row.end + m.lag, row.start + m.lag, motion, Matrix3::Zero()};
   if (row.twist) {

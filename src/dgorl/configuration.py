@@ -13,12 +13,15 @@ from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-from dgorl.errors import ConfigurationError
+from dgorl.errors import ConfigurationError, brief
 from dgorl.plain_yaml import PlainYamlError, plain_yaml
 
 Kernel = Literal["none", "huber", "cauchy", "huber_negative", "cauchy_negative"]
 Solver = Literal["native", "g2o", "gtsam"]
 Clock = Literal["shared", "estimated"]
+
+LONGEST_WORD = 80
+"""of what is compared with known words, so that comparing costs nothing"""
 
 
 @dataclass(frozen=True)
@@ -230,7 +233,7 @@ def as_dict(value: Any) -> Any:
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """A hint naming the known word nearest to ``word``, empty if none is near."""
-    match = difflib.get_close_matches(word, list(known), n=1)
+    match = difflib.get_close_matches(word[:LONGEST_WORD], list(known), n=1)
     return f"; did you mean `{match[0]}`?" if match else ""
 
 
@@ -240,11 +243,11 @@ def _merge(base: Any, changes: Mapping[str, Any], source: str, prefix: str) -> A
     for key, value in changes.items():
         name = f"{prefix}{key}"
         if key not in hints:
-            raise ConfigurationError(f"{source}: unknown setting `{name}`{nearest(str(key), hints)}")
+            raise ConfigurationError(f"{source}: unknown setting `{brief(name)}`{nearest(str(key), hints)}")
         current = getattr(base, key)
         if dataclasses.is_dataclass(current):
             if not isinstance(value, Mapping):
-                raise ConfigurationError(f"{source}: `{name}` must be a mapping, got {value!r}")
+                raise ConfigurationError(f"{source}: `{name}` must be a mapping, got {brief(repr(value))}")
             values[key] = _merge(current, value, source, f"{name}.")
         else:
             values[key] = _convert(value, hints[key], source, name)
@@ -287,12 +290,12 @@ def _convert(value: Any, hint: Any, source: str, name: str) -> Any:
             return value
     elif isinstance(value, Mapping) and name == "antennas":
         return MappingProxyType({str(k): _antenna(v, source, f"{name}.{k}") for k, v in value.items()})
-    raise ConfigurationError(f"{source}: `{name}` must be {_describe(hint)}, got {value!r}")
+    raise ConfigurationError(f"{source}: `{name}` must be {_describe(hint)}, got {brief(repr(value))}")
 
 
 def _antenna(value: Any, source: str, name: str) -> tuple[float, float, float]:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise ConfigurationError(f"{source}: `{name}` must be [x, y, z] in metres, got {value!r}")
+        raise ConfigurationError(f"{source}: `{name}` must be [x, y, z] in metres, got {brief(repr(value))}")
     x, y, z = (cast(float, _convert(v, float, source, name)) for v in value)
     return x, y, z
 

@@ -4,6 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dgorl.printable import printable
+
+QUOTED = 80
+"""Characters of somebody's file that a message repeats at most."""
+
+
+def brief(text: object) -> str:
+    """What stands in somebody's file, for a message: escaped, its beginning alone when it is long."""
+    short = printable(str(text)[: QUOTED + 1])
+    return short if len(short) <= QUOTED else f"{short[: QUOTED - 1]}…"
+
+
+def quoted(text: object) -> str:
+    """The same in backticks."""
+    return f"`{brief(text)}`"
+
 
 class DgorlError(Exception):
     """Root of everything DGORL raises on purpose: what is wrong, where, what to do."""
@@ -26,4 +42,4 @@ class LogError(DgorlError):
 
     def __init__(self, path: str | Path, line: int | None, what: str) -> None:
         self.path, self.line = Path(path), line
-        super().__init__(f"{path}:{line}: {what}" if line is not None else f"{path}: {what}")
+        super().__init__(printable(f"{path}:{line}: {what}" if line is not None else f"{path}: {what}"))

@@ -58,7 +58,8 @@ def _interval(robot: str, start: float, end: float, epoch: int) -> None:
         raise MeasurementError(f"not a robot's name: {robot!r}")
 
 
-def _covariance(values: Covariance) -> None:
+def check_covariance(values: Covariance) -> None:
+    """Raises MeasurementError unless a matrix can be a covariance."""
     _require(len(values) == 6, f"covariance needs 6 values (xx, xy, xt, yy, yt, tt), got {len(values)}")
     xx, xy, xt, yy, yt, tt = values
     _finite(**dict(zip(("xx", "xy", "xt", "yy", "yt", "tt"), values, strict=True)))
@@ -109,7 +110,7 @@ class Displacement:
         _finite(start=self.start, end=self.end, dx=self.dx, dy=self.dy, dtheta=self.dtheta)
         _interval(self.robot, self.start, self.end, self.epoch)
         if self.covariance is not None:
-            _covariance(self.covariance)
+            check_covariance(self.covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +191,7 @@ class RelativePose:
         _require(self.robot != WORLD, "the world has no pose of its own; name it as the reference")
         _require(self.prior or self.reference != WORLD, "only a prior may refer to the world")
         _finite(stamp=self.stamp, x=self.x, y=self.y, theta=self.theta)
-        _covariance(self.covariance)
+        check_covariance(self.covariance)
 
 
 ClockKey = tuple[str, int]

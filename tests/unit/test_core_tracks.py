@@ -55,6 +55,20 @@ def test_preintegration_composes_motion_and_noise() -> None:
     np.testing.assert_array_equal(information[0], information[0].T)
 
 
+@pytest.mark.parametrize("turns", [-2, -1, 1])
+def test_whole_turns_of_a_displacement_mean_nothing(turns: int) -> None:
+    """A turn is a difference of headings: it is brought to ±π before the wheels' scale is applied."""
+    motion = Motion(angular_scale=0.9)
+    near = Displacement("r1", 0.0, 0.5, 0.3, 0.1, 0.4)
+    far = Displacement("r1", 0.0, 0.5, 0.3, 0.1, 0.4 + 2 * np.pi * turns)
+    (delta, information), (expected, certain) = (
+        _core.odometry(trail_of([row], motion).tracks, [0], [1]) for row in (far, near)
+    )
+    np.testing.assert_allclose(delta, expected, atol=1e-12)
+    np.testing.assert_allclose(expected[0, 2], 0.36, atol=1e-12)
+    np.testing.assert_allclose(information, certain, rtol=1e-9)
+
+
 def test_preintegrated_covariance_is_that_of_sampled_motion() -> None:
     rows, deltas, noises = random_steps(4, seed=3)
     delta, information = _core.odometry(trail_of(rows).tracks, [0], [1])

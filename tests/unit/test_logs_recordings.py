@@ -86,6 +86,14 @@ def _residual(log: Log, m: Range) -> float | None:
     return m.range - float(np.linalg.norm(np.subtract(*ends)))
 
 
+def test_a_recording_with_landmarks_of_unknown_place() -> None:
+    log = logs.read(recording("mrclam5a.pyfg"))
+    assert log.robots == ("A", "B", "C", "D", "E")
+    assert log.skipped == {"EDGE_SE2_XY: where a landmark was seen": 1127}
+    assert max(m.end - m.start for m in log.measurements if isinstance(m, Displacement)) > 8.0
+    assert Counter(type(m) for m in log.measurements)[Range] == 316
+
+
 @pytest.mark.parametrize("name", ["mrclam6", "tiers/tiers.pyfg"])
 def test_truth_reaches_nothing_the_estimator_gets(name: str, tmp_path: Path) -> None:
     """True poses after the start replaced by nonsense: measurements, starts and settings stay the same."""

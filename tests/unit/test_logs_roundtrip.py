@@ -21,7 +21,8 @@ from dgorl.simulation import Scenario, simulate
 
 numbers = st.floats(-1e9, 1e9)
 positive = st.floats(1e-6, 1e6)
-stamps = st.floats(-1e6, 2e9)
+OFFSETS = (-1e6, 0.0, 1.7e9)
+"""What a clock may show when a log begins [s]; all of it is on that clock."""
 
 
 def assert_same(a: Log, b: Log) -> None:
@@ -43,6 +44,8 @@ def again(log: Log) -> Log:
 def small_logs(draw: st.DrawFn) -> Log:
     names = st.from_regex(r"\A\w[\w.-]{0,4}\Z")
     robots = draw(st.lists(names, min_size=2, max_size=4, unique=True))
+    offset = draw(st.sampled_from(OFFSETS))
+    stamps = st.floats(offset, offset + 8e4)
     measurements: list[Measurement] = []
     twists = draw(st.booleans())
     for k, robot in enumerate(robots):
@@ -70,10 +73,10 @@ def small_logs(draw: st.DrawFn) -> Log:
         measurements.append(draw(st.one_of(readings)))
     truth: dict[str, Any] = {}
     for robot in draw(st.sets(st.sampled_from(robots))):
-        times = sorted(draw(st.lists(stamps, min_size=1, max_size=4, unique=True)))
+        times = sorted({measurements[0].start, *draw(st.lists(stamps, max_size=4))})
         truth[robot] = np.array([[t, draw(numbers), draw(numbers), draw(numbers)] for t in times])
     pose = st.tuples(numbers, numbers, numbers)
-    start = st.builds(Start, stamps, pose) if draw(st.booleans()) else st.builds(Start, st.just(0.0), pose)
+    start = st.builds(Start, stamps, pose) if draw(st.booleans()) else st.builds(Start, st.just(offset), pose)
     starts = draw(st.dictionaries(st.sampled_from(robots), start))
     radio = draw(st.fixed_dictionaries({}, optional={"sigma_db": positive, "rssi_at_1m_dbm": numbers}))
     configuration = draw(st.sampled_from([{}, {"radio": radio}, {"antennas": {robots[0]: [0.5, 1e-7, -1.0]}}]))

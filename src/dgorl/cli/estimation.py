@@ -12,6 +12,7 @@ from dgorl import logs
 from dgorl.cli.parsing import File, Seconds, Seed, Window
 from dgorl.errors import ConfigurationError
 from dgorl.logs.log import Log
+from dgorl.logs.stamps import odometry_span
 
 Kind = Literal["range", "bearing", "rssi"]
 
@@ -54,7 +55,8 @@ class EstimationOptions:
         if self.measurements:
             log = logs.select(log, self.measurements)
         if self.truth is not None:
-            log = dataclasses.replace(log, truth=logs.read_truth(self.truth, log.robots))
+            truth = logs.read_truth(self.truth, log.robots, odometry_span(log.measurements))
+            log = dataclasses.replace(log, truth=truth)
         return log
 
 

@@ -9,11 +9,22 @@ from pathlib import Path
 
 from dgorl.errors import LogError
 from dgorl.logs.log import Log, Start, in_order
+from dgorl.logs.stamps import Stamps, odometry_span, within
 from dgorl.logs.team import Team, read_team
 from dgorl.logs.terrain import read_altitudes, read_terrain
-from dgorl.logs.text import Columns, Forward, Row, csv_rows, held_twist
+from dgorl.logs.text import Columns, Forward, Row, csv_rows, held_twist, rounding
 from dgorl.logs.truth import first_odometry, read_truth, starts_from
-from dgorl.measurements import Bearing, Covariance, Displacement, Measurement, Odometry, Range, Rssi
+from dgorl.measurements import (
+    Bearing,
+    Covariance,
+    Displacement,
+    Measurement,
+    Odometry,
+    Range,
+    Rssi,
+    check_covariance,
+)
+from dgorl.terrain import Altitude
 
 HELD: Columns = ("t", "robot", "v", "omega")
 TWIST: Columns = ("start", "end", "robot", "v", "omega")
@@ -29,7 +40,8 @@ def read_folder(path: Path) -> Log:
     """A dgorl log. Raises LogError naming file and line."""
     team = read_team(path / "team.yaml")
     skipped: Counter[str] = Counter()
-    measurements: list[Measurement] = list(_odometry(path / "odometry.csv", team, skipped))
+    stamps, rows = Stamps(), Counter[str]()
+    measurements: list[Measurement] = list(_odometry(path / "odometry.csv", team, skipped, stamps, rows))
     if not measurements:
         raise LogError(path / "odometry.csv", None, "holds no odometry: nothing tells how the robots move")
     between: dict[str, tuple[list[Columns], Callable[[Row, Team], Measurement]]] = {
@@ -44,20 +56,38 @@ def read_folder(path: Path) -> Log:
         forward = Forward()
         for row in csv_rows(path / name, [family])[1]:
             forward.check(row, row.number(0))
+            stamps.take(row, row.number(0), name.removesuffix(".csv"))
             measurements.append(measured(row, team))
-    truth = read_truth(path / "groundtruth.csv", team.robots) if (path / "groundtruth.csv").exists() else {}
+    altitudes: tuple[Altitude, ...] = ()
+    if (path / "altitude.csv").exists():
+        altitudes = read_altitudes(path / "altitude.csv", team.robots, stamps)
+    stamps.check()
+    span = odometry_span(measurements)
+    _check_team(path / "team.yaml", team, span)
+    truth = read_truth(path / "groundtruth.csv", team.robots, span) if (path / "groundtruth.csv").exists() else {}
     first = first_odometry(measurements)
     starts = starts_from(truth, first) if team.start is None else _starts(path, team, first)
     return Log(
         path, team.robots, in_order(measurements), truth, starts, dict(team.configuration), dict(skipped),
-        altitudes=read_altitudes(path / "altitude.csv", team.robots) if (path / "altitude.csv").exists() else (),
+        altitudes=altitudes, rows=dict(rows),
         terrain=read_terrain(path / "terrain.npz") if (path / "terrain.npz").exists() else None,
     )  # fmt: skip
 
 
-def _odometry(path: Path, team: Team, skipped: Counter[str]) -> Iterator[Odometry | Displacement]:
+def _check_team(path: Path, team: Team, span: tuple[float, float]) -> None:
+    """Raises LogError for times in team.yaml that are on another clock than the odometry."""
+    times = [("start_stamp", robot, stamp) for robot, stamp in team.start_stamp.items()]
+    times += [("epochs", robot, stamp) for robot, stamps in team.epochs.items() for stamp in stamps]
+    for key, robot, stamp in times:
+        within(path, team.lines.get(f"{key}.{robot}", team.lines.get(key)), f"`{key}.{robot}`", stamp, span)
+
+
+def _odometry(
+    path: Path, team: Team, skipped: Counter[str], stamps: Stamps, counts: Counter[str]
+) -> Iterator[Odometry | Displacement]:
     """Odometry in any of its forms, with epochs; what spans a time the robot was carried is left out."""
     form, rows = csv_rows(path, [[HELD], [TWIST], [DISPLACEMENT, COVARIANCE]])
+    rows = _noted(rows, team, stamps, counts, "t" if form == 0 else "start")
     steps = (_held, _twists, _displacements)[form](rows, team)
     for step in steps:
         if team.carried_within(step.robot, step.start, step.end):
@@ -66,8 +96,17 @@ def _odometry(path: Path, team: Team, skipped: Counter[str]) -> Iterator[Odometr
             yield step
 
 
+def _noted(rows: Iterator[Row], team: Team, stamps: Stamps, counts: Counter[str], column: str) -> Iterator[Row]:
+    """The rows, their stamps noted and counted by robot."""
+    who = 1 if column == "t" else 2
+    for row in rows:
+        stamps.take(row, row.number(0), "odometry", column)
+        counts[row.robot(who, team.robots)] += 1
+        yield row
+
+
 def _held(rows: Iterator[Row], team: Team) -> Iterator[Odometry]:
-    """Each twist from its row to the robot's next; the last row only ends the one before."""
+    """Each twist from its row to the robot's next, for ``HOLD`` at most; the last row only ends the one before."""
     forward = Forward(strictly=True)
     held: dict[str, tuple[float, float, float]] = {}
     for row in rows:
@@ -91,6 +130,7 @@ def _displacements(rows: Iterator[Row], team: Team) -> Iterator[Displacement]:
         if any(row.given(index) for index in range(6, 12)):
             xx, xy, xt, yy, yt, tt = row.numbers(6, 12)
             covariance = (xx, xy, xt, yy, yt, tt)
+            row.make(check_covariance, covariance, advice="; leave the six empty if it is unknown")
         yield row.make(Displacement, robot, start, end, dx, dy, dtheta, covariance, team.epoch(robot, start))
 
 
@@ -98,10 +138,9 @@ def _intervals(rows: Iterator[Row], team: Team) -> Iterator[tuple[Row, str, floa
     ends: dict[str, float] = {}
     for row in rows:
         start, end, robot = row.number(0), row.number(1), row.robot(2, team.robots)
-        if start < ends.get(robot, start):
-            raise row.error(
-                f"time runs backwards for {robot}: starts at {start!r}, before the last end {ends[robot]!r}"
-            )
+        last = ends.get(robot, start)
+        if start < last - rounding(last):
+            raise row.error(f"time runs backwards for {robot}: starts at {start!r}, before the last end {last!r}")
         ends[robot] = end
         yield row, robot, start, end
 

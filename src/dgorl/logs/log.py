@@ -71,7 +71,8 @@ class Log:
     truth: robot → (T, 4) of t, x, y, theta, rising t; empty where the log has none. Only
     :mod:`dgorl.evaluation` reads it. starts: the log's start poses, used by ``--initial known`` alone.
     configuration: nested settings the log itself states (radio, antennas, ...), over the defaults and under
-    the user's. skipped: rows left out, by reason. live: of a robot's journal, the order in which it learnt them.
+    the user's. skipped: rows left out, by reason. rows: robot → rows of odometry in its file, where a reader counts
+    them: a held twist makes several measurements. live: of a robot's journal, the order in which it learnt them.
     altitudes, terrain: for terrain relative navigation alone.
     """
 
@@ -82,6 +83,7 @@ class Log:
     starts: Mapping[str, Start] = field(default_factory=lambda: MappingProxyType({}))
     configuration: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     skipped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    rows: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}), compare=False)
     live: Live | None = None
     altitudes: tuple[Altitude, ...] = ()
     terrain: Terrain | None = None

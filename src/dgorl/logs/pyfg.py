@@ -19,11 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from dgorl.configuration import nearest
-from dgorl.errors import LogError
+from dgorl.errors import LogError, brief, quoted
 from dgorl.logs.log import Log, in_order
+from dgorl.logs.stamps import Stamps
 from dgorl.logs.text import Columns, Forward, Row, text_of
 from dgorl.logs.truth import first_odometry, rising, starts_from
-from dgorl.measurements import Covariance, Displacement, Measurement, Range
+from dgorl.measurements import LONGEST, Covariance, Displacement, Measurement, Range
 from dgorl.se2 import Array
 
 STANDING_PERIOD = 0.5
@@ -35,6 +36,7 @@ _RECORDS: Mapping[str, Columns] = {
     "VERTEX_SE2": ("type", "t", "pose", "x", "y", "theta"),
     "VERTEX_XY": ("type", "landmark", "x", "y"),
     "EDGE_SE2": ("type", "t", "from", "to", "dx", "dy", "dtheta", "xx", "xy", "xt", "yy", "yt", "tt"),
+    "EDGE_SE2_XY": ("type", "t", "from", "landmark", "dx", "dy", "xx", "xy", "yy"),
     "EDGE_RANGE": ("type", "t", "from", "to", "range", "variance"),
 }
 
@@ -56,18 +58,22 @@ class _Robot:
 def read_pyfg(path: Path) -> Log:
     """A planar factor graph in PyFG's text format. Raises LogError."""
     rows = list(_rows(path))
+    _check_stamps(rows)
     robots, landmarks = _members(rows)
     stamps = [row.number(1) for row in rows if row.fields[0] != "VERTEX_XY"]
     skipped: Counter[str] = Counter()
     measurements: list[Measurement] = []
     truth: dict[str, Array] = {}
     for robot, chain in robots.items():
-        measurements += _odometry(robot, chain)
+        measurements += _odometry(robot, chain, skipped)
         truth[robot] = rising([(vertex.stamp, *vertex.pose) for vertex in chain.vertices.values()])
         skipped["ground truth of a repeated stamp"] += len(chain.vertices) - len(truth[robot])
     if not measurements:
         raise LogError(path, None, "holds no odometry: EDGE_SE2 between consecutive vertices of a robot")
-    names = _landmark_names(path, robots, landmarks)
+    skipped["EDGE_SE2_XY: where a landmark was seen"] = sum(row.fields[0] == "EDGE_SE2_XY" for row in rows)
+    ranged = {symbol for row in rows if row.fields[0] == "EDGE_RANGE" for symbol in row.fields[2:4]}
+    seen = {row.fields[3] for row in rows if row.fields[0] == "EDGE_SE2_XY"}
+    names = _landmark_names(path, robots, {k: place for k, place in landmarks.items() if k in ranged or k not in seen})
     for symbol, name in names.items():
         standing = _standing(min(stamps), max(stamps))
         measurements += [Displacement(name, a, b, 0.0, 0.0, 0.0, _STILL) for a, b in standing]
@@ -82,6 +88,16 @@ def read_pyfg(path: Path) -> Log:
 _STILL: Covariance = (STANDING_SIGMA**2, 0.0, 0.0, STANDING_SIGMA**2, 0.0, STANDING_SIGMA**2)
 
 
+def _check_stamps(rows: Sequence[Row]) -> None:
+    """Raises LogError for what is stamped on another clock than the rest."""
+    stamps = Stamps()
+    for kind in ("EDGE_SE2", "EDGE_RANGE", "VERTEX_SE2"):
+        for row in rows:
+            if row.fields[0] == kind:
+                stamps.take(row, row.number(1), "odometry")
+    stamps.check()
+
+
 def _rows(path: Path) -> Iterator[Row]:
     for number, line in enumerate(text_of(path).split("\n"), start=1):
         fields = line.split()
@@ -90,7 +106,7 @@ def _rows(path: Path) -> Iterator[Row]:
         kind = fields[0]
         if kind not in _RECORDS:
             known = ", ".join(_RECORDS)
-            raise LogError(path, number, f"cannot use {kind}{nearest(kind, _RECORDS)}; known are {known}")
+            raise LogError(path, number, f"cannot use {brief(kind)}{nearest(kind, _RECORDS)}; known are {known}")
         columns = _RECORDS[kind]
         if len(fields) != len(columns):
             missing = f" ({columns[len(fields)]} missing)" if len(fields) < len(columns) else ""
@@ -101,7 +117,9 @@ def _rows(path: Path) -> Iterator[Row]:
 def _letters(row: Row, index: int) -> str:
     match = re.fullmatch(r"([A-Za-z]+)\d+", row.fields[index])
     if match is None:
-        raise row.error(f"`{row.columns[index]}` must be letters and a number like A12, got `{row.fields[index]}`")
+        raise row.error(
+            f"`{row.columns[index]}` must be letters and a number like A12, got {quoted(row.fields[index])}"
+        )
     return match[1]
 
 
@@ -116,12 +134,12 @@ def _members(rows: Sequence[Row]) -> tuple[dict[str, _Robot], dict[str, tuple[fl
             forward.check(row, stamp, robot)
             chain = robots.setdefault(robot, _Robot({}, {}))
             if symbol in chain.vertices:
-                raise row.error(f"vertex {symbol} stands here twice")
+                raise row.error(f"vertex {brief(symbol)} stands here twice")
             chain.vertices[symbol] = _Vertex(stamp, (row.number(3), row.number(4), row.number(5)))
         elif row.fields[0] == "VERTEX_XY":
             _letters(row, 1)
             if row.fields[1] in landmarks:
-                raise row.error(f"landmark {row.fields[1]} stands here twice")
+                raise row.error(f"landmark {brief(row.fields[1])} stands here twice")
             landmarks[row.fields[1]] = (row.number(2), row.number(3))
     follows = {b: a for chain in robots.values() for a, b in pairwise(chain.vertices)}
     for row in rows:
@@ -129,20 +147,27 @@ def _members(rows: Sequence[Row]) -> tuple[dict[str, _Robot], dict[str, tuple[fl
             a, b = row.fields[2:4]
             robot = _letters(row, 3)
             if follows.get(b) != a:
-                raise row.error(f"{a} to {b}: an edge must join a vertex to the robot's next one (odometry)")
+                raise row.error(
+                    f"{brief(a)} to {brief(b)}: an edge must join a vertex to the robot's next one (odometry)"
+                )
             if b in robots[robot].edges:
-                raise row.error(f"odometry from {a} to {b} stands here twice")
+                raise row.error(f"odometry from {brief(a)} to {brief(b)} stands here twice")
             robots[robot].edges[b] = row
     return robots, landmarks
 
 
-def _odometry(robot: str, chain: _Robot) -> Iterator[Displacement]:
+def _odometry(robot: str, chain: _Robot, skipped: Counter[str]) -> Iterator[Displacement]:
+    """The edges between a robot's vertices; one over more time than odometry may tell of at once is a gap."""
     times = _times(chain)
     last = -float("inf")
     for before, symbol in pairwise(chain.vertices):
         if (row := chain.edges.get(symbol)) is not None:
             start, end = max(times[before], last), times[symbol]
             dx, dy, dtheta = row.numbers(4, 7)
+            if end - start > LONGEST:
+                skipped[f"odometry over more than {LONGEST:g} s at once: a gap"] += 1
+                last = end
+                continue
             covariance = _at_start(dtheta, row.numbers(7, 13))
             yield row.make(Displacement, robot, start, end, dx, dy, dtheta, covariance)
             last = end
@@ -183,7 +208,9 @@ def _landmark_names(path: Path, robots: Mapping[str, _Robot], landmarks: Mapping
     names = {symbol: short if count[short] == 1 else symbol for symbol, short in letters.items()}
     for symbol, name in names.items():
         if name in robots:
-            raise LogError(path, None, f"landmark {symbol} and robot {name} share a letter; rename one of them")
+            raise LogError(
+                path, None, f"landmark {brief(symbol)} and robot {brief(name)} share a letter; rename one of them"
+            )
     return names
 
 
@@ -202,7 +229,7 @@ def _ranges(rows: Sequence[Row], robots: Mapping[str, _Robot], names: Mapping[st
             continue
         for symbol in row.fields[2:4]:
             if symbol not in members:
-                raise row.error(f"no vertex is called {symbol}; add it or leave the range out")
+                raise row.error(f"no vertex is called {brief(symbol)}; add it or leave the range out")
         a, b = (members[symbol] for symbol in row.fields[2:4])
         stamp, distance, variance = row.number(1), row.number(4), row.number(5)
         forward.check(row, stamp, f"{a} and {b}")

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from dgorl.configuration import Configuration, as_dict, merge, nearest
-from dgorl.errors import ConfigurationError, LogError
+from dgorl.errors import ConfigurationError, LogError, brief, quoted
 from dgorl.logs.text import text_of
 from dgorl.measurements import WORLD
 from dgorl.plain_yaml import PlainYamlError, plain_yaml
@@ -32,6 +32,8 @@ class Team:
     start: Mapping[str, tuple[float, float, float]] | None = None
     start_stamp: Mapping[str, float] = field(default_factory=dict)
     configuration: Mapping[str, Any] = field(default_factory=dict)
+    lines: Mapping[str, int] = field(default_factory=dict, compare=False)
+    """of its keys, in the file it was read from"""
 
     def epoch(self, robot: str, start: float) -> int:
         """The epoch of odometry that begins at ``start`` [s]: how often the robot was carried before."""
@@ -90,13 +92,14 @@ class _Reader:
     def team(self) -> Team:
         for key in self.data:
             if key not in KEYS:
-                raise self.error(str(key), f"unknown key `{key}`{nearest(str(key), KEYS)}")
+                raise self.error(str(key), f"unknown key {quoted(key)}{nearest(str(key), KEYS)}")
         robots = self._robots()
         epochs = {name: self._stamps(name, value) for name, value in self._by_robot("epochs", robots).items()}
         start = None
         if "start" in self.data:
             start = {name: self._pose(name, value) for name, value in self._by_robot("start", robots).items()}
-        return Team(robots, epochs, start, self._start_stamp(robots, start), self._configuration(robots))
+        stamps, configuration = self._start_stamp(robots, start), self._configuration(robots)
+        return Team(robots, epochs, start, stamps, configuration, self.lines)
 
     def error(self, key: str, what: str) -> LogError:
         return LogError(self.path, self.lines.get(key), what)
@@ -108,7 +111,7 @@ class _Reader:
         for name in robots:
             if not valid_name(name):
                 hint = "letters, digits, `_`, `-` and dots; quote what YAML takes for a number; not `world`"
-                raise self.error("robots", f"`{name}` cannot be a robot's name ({hint})")
+                raise self.error("robots", f"{quoted(name)} cannot be a robot's name ({hint})")
             if robots.count(name) > 1:
                 raise self.error("robots", f"robot `{name}` is listed twice")
         return tuple(robots)
@@ -120,18 +123,20 @@ class _Reader:
         for name in values:
             if name not in robots:
                 hint = f"{nearest(str(name), robots)}; the robots are {', '.join(robots)}"
-                raise self.error(f"{key}.{name}", f"`{key}` names an unknown robot `{name}`{hint}")
+                raise self.error(f"{key}.{name}", f"`{key}` names an unknown robot {quoted(name)}{hint}")
         return values
 
     def _number(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-            raise self.error(key, f"`{key}` must hold finite numbers, got {value!r}")
+            raise self.error(key, f"`{key}` must hold finite numbers, got {brief(repr(value))}")
         return float(value)
 
     def _stamps(self, robot: str, value: object) -> tuple[float, ...]:
         key = f"epochs.{robot}"
         if not isinstance(value, list):
-            raise self.error(key, f"`{key}` must list the times the robot was carried, like [12.5], got {value!r}")
+            raise self.error(
+                key, f"`{key}` must list the times the robot was carried, like [12.5], got {brief(repr(value))}"
+            )
         stamps = tuple(self._number(key, stamp) for stamp in value)
         if list(stamps) != sorted(stamps):
             raise self.error(key, f"`{key}`: time runs backwards; sort the times")
@@ -140,7 +145,7 @@ class _Reader:
     def _pose(self, robot: str, value: object) -> tuple[float, float, float]:
         key = f"start.{robot}"
         if not isinstance(value, list) or len(value) != 3:
-            raise self.error(key, f"`{key}` must be [x, y, theta] in m and rad, got {value!r}")
+            raise self.error(key, f"`{key}` must be [x, y, theta] in m and rad, got {brief(repr(value))}")
         x, y, theta = (self._number(key, number) for number in value)
         return x, y, theta
 
@@ -164,7 +169,7 @@ class _Reader:
             raise self.error(named, what) from error
         for name in configuration.get("antennas", {}):
             if name not in (*robots, "default"):
-                raise self.error(f"antennas.{name}", f"`antennas` names an unknown robot `{name}`")
+                raise self.error(f"antennas.{name}", f"`antennas` names an unknown robot {quoted(name)}")
         return configuration
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dgorl.errors import LogError, MeasurementError
+from dgorl.logs.stamps import Stamps
 from dgorl.logs.text import Columns, Forward, csv_rows
 from dgorl.se2 import Array
 from dgorl.terrain import Altitude, Terrain
@@ -18,13 +19,14 @@ ALTITUDE: Columns = ("t", "robot", "height", "sigma")
 ARRAYS = ("x", "y", "height")
 
 
-def read_altitudes(path: Path, robots: Collection[str]) -> tuple[Altitude, ...]:
-    """Rows of altitude.csv in their order. Raises LogError naming file and line."""
+def read_altitudes(path: Path, robots: Collection[str], stamps: Stamps) -> tuple[Altitude, ...]:
+    """Rows of altitude.csv in their order, their stamps noted. Raises LogError naming file and line."""
     forward = Forward()
     found = []
     for row in csv_rows(path, [[ALTITUDE]])[1]:
         robot, stamp = row.robot(1, robots), row.number(0)
         forward.check(row, stamp)
+        stamps.take(row, stamp, "altitude")
         found.append(row.make(Altitude, robot, stamp, row.number(2), row.number(3)))
     return tuple(found)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, isfinite
+from math import ceil, isfinite, ulp
 from pathlib import Path
 from typing import TypeVar
 
 from dgorl.configuration import nearest
-from dgorl.errors import LogError, MeasurementError
+from dgorl.errors import LogError, MeasurementError, quoted
 from dgorl.measurements import Odometry
 
 Columns = tuple[str, ...]
@@ -56,8 +56,8 @@ class Row:
     def number(self, index: int) -> float:
         value = number_of(self.fields[index])
         if value is None:
-            name, field = self.columns[index], self.fields[index].strip()
-            raise self.error(f"`{name}` must be a finite number, got `{field}`")
+            got = quoted(self.fields[index].strip())
+            raise self.error(f"`{self.columns[index]}` must be a finite number, got {got}")
         return value
 
     def numbers(self, first: int, last: int) -> list[float]:
@@ -71,8 +71,8 @@ class Row:
         try:
             return int(self.fields[index])
         except ValueError:
-            name, field = self.columns[index], self.fields[index].strip()
-            raise self.error(f"`{name}` must be a whole number, got `{field}`") from None
+            got = quoted(self.fields[index].strip())
+            raise self.error(f"`{self.columns[index]}` must be a whole number, got {got}") from None
 
     def given(self, index: int) -> bool:
         return index < len(self.fields) and bool(self.fields[index].strip())
@@ -81,15 +81,20 @@ class Row:
         name = self.fields[index].strip()
         if name not in robots:
             known = ", ".join(robots)
-            raise self.error(f"unknown robot `{name}`{nearest(name, robots)}; the robots are {known}")
+            raise self.error(f"unknown robot {quoted(name)}{nearest(name, robots)}; the robots are {known}")
         return name
 
-    def make(self, kind: Callable[..., T], *values: object) -> T:
-        """A measurement of these values, its complaint turned into a LogError."""
+    def make(self, kind: Callable[..., T], *values: object, advice: str = "") -> T:
+        """A measurement of these values, its complaint turned into a LogError that ends with ``advice``."""
         try:
             return kind(*values)
         except MeasurementError as error:
-            raise self.error(str(error)) from error
+            raise self.error(f"{error}{advice}") from error
+
+
+def rounding(stamp: float) -> float:
+    """By so much [s] stamps of one instant may differ, computed in different ways."""
+    return max(1e-6, 4 * ulp(stamp))
 
 
 class Forward:
@@ -119,7 +124,9 @@ def csv_rows(path: Path, families: Sequence[Sequence[Columns]]) -> tuple[int, It
         if header in family:
             return index, _rows(path, lines, family)
     wanted = " or ".join(f"`{','.join(columns)}`" for family in families for columns in family)
-    got = f"got `{lines[0].strip()}`" if lines[0].strip() else "it is empty"
+    got = f"got {quoted(lines[0].strip())}" if lines[0].strip() else "it is empty"
+    if "\r" in lines[0].strip():
+        got += "; its lines end with CR alone: save it with LF or CRLF"
     raise LogError(path, 1, f"the first line must be the header {wanted}; {got}")
 
 
@@ -149,15 +156,27 @@ def dat_rows(path: Path, columns: Columns) -> Iterator[Row]:
         yield Row(path, number, columns, fields)
 
 
+HOLD = 1.0
+"""A twist is held until the robot's next row, at most this long [s]; a longer silence is a gap. METHOD §1."""
 REPORT = 0.1
 """A robot that holds its twist says so at least this often [s]: what it does is known before its next command."""
 
 
 def held_twist(
-    row: Row, robot: str, start: float, end: float, v: float, omega: float, epoch: Callable[[float], int] = lambda _: 0
+    row: Row,
+    robot: str,
+    start: float,
+    until: float,
+    v: float,
+    omega: float,
+    epoch: Callable[[float], int] = lambda _: 0,
 ) -> Iterator[Odometry]:
-    """A twist held from ``start`` to ``end`` [s], as the robot reports it while it holds; ``epoch`` of a stamp."""
+    """A twist held from ``start`` until ``until`` [s] or for ``HOLD``, as the robot reports it meanwhile.
+
+    epoch: of a stamp.
+    """
+    end = min(until, start + HOLD)
     count = max(ceil((end - start) / REPORT - 1e-6), 1)
     stamps = [start + k * REPORT for k in range(count)] + [end]
-    for begin, until in pairwise(stamps):
-        yield row.make(Odometry, robot, begin, until, v, omega, epoch(begin))
+    for begin, stop in pairwise(stamps):
+        yield row.make(Odometry, robot, begin, stop, v, omega, epoch(begin))

@@ -9,6 +9,7 @@ import numpy as np
 
 from dgorl.errors import LogError
 from dgorl.logs.log import Start
+from dgorl.logs.stamps import overlapping
 from dgorl.logs.text import Forward, csv_rows
 from dgorl.measurements import Displacement, Measurement, Odometry
 from dgorl.se2 import Array
@@ -16,22 +17,27 @@ from dgorl.se2 import Array
 COLUMNS = ("t", "robot", "x", "y", "theta")
 
 
-def read_truth(path: str | Path, robots: Collection[str]) -> dict[str, Array]:
+def read_truth(path: str | Path, robots: Collection[str], span: tuple[float, float] | None = None) -> dict[str, Array]:
     """Truth of a CSV file ``t,robot,x,y,theta``: robot → (T, 4) of t, x, y, theta [s, m, m, rad], rising t.
 
-    Raises LogError for a bad line, a robot not in ``robots``, time running backwards for a robot, or a file
-    without rows.
+    span: from when to when there is odometry [s], which each robot's truth must overlap. Raises LogError for a bad
+    line, a robot not in ``robots``, time running backwards for a robot, a file without rows or on another clock.
     """
     path = Path(path)
     rows: dict[str, list[list[float]]] = {}
+    lines: dict[str, list[int]] = {}
     forward = Forward()
     for row in csv_rows(path, [[COLUMNS]])[1]:
         robot = row.robot(1, robots)
         stamp = row.number(0)
         forward.check(row, stamp, robot)
         rows.setdefault(robot, []).append([stamp, *row.numbers(2, 5)])
+        lines.setdefault(robot, []).append(row.line)
     if not rows:
         raise LogError(path, None, "holds no ground truth; leave the file out if there is none")
+    if span is not None:
+        for robot in sorted(rows, key=lambda robot: lines[robot][0]):
+            overlapping(path, lines[robot], np.array(rows[robot])[:, 0], span, robot)
     return {robot: rising(values) for robot, values in sorted(rows.items())}
 
 
