@@ -27,7 +27,7 @@ from dgorl.tracks import KEYFRAMES_PER_SECOND, motion_values, odometry_row
 
 def increments(rows: Array, motion: Motion, truth: Array, seconds: float) -> tuple[Array, Array, Array]:
     """Odometry's and the true motion over spans of ``seconds``, and |turn| and distance within them (S, 2)."""
-    trail = _core.Trail(motion_values(motion), 30.0)
+    trail = _core.Trail(motion_values(motion))
     trail.extend(rows)
     span = int(seconds * KEYFRAMES_PER_SECOND)
     measured, true, effort = [], [], []

@@ -97,7 +97,7 @@ def certainty(setting: Setting, steps: Array) -> Array:
     """Information (nT, 3, 3) that the estimator's motion model gives displacements (n, T, 3), a period each."""
     tracks = []
     for k, own in enumerate(steps.tolist()):
-        trail = Trail(f"r{k + 1}", Motion(), PERIOD)
+        trail = Trail(f"r{k + 1}", Motion())
         trail.add(
             [
                 Displacement(trail.robot, PERIOD * t, PERIOD * (t + 1), x, y, turn, _stated(setting, (x, y, turn)))

@@ -164,11 +164,8 @@ void bind_tracks(nb::module_& m) {
           "stamp"_a);
   nb::class_<Trail>(m, "Trail")
       .def(
-          "__init__",
-          [](Trail* self, nb::handle motion, double silence) {
-            new (self) Trail(motion_model(motion), silence);
-          },
-          "motion"_a, "silence"_a)
+          "__init__", [](Trail* self, nb::handle motion) { new (self) Trail(motion_model(motion)); },
+          "motion"_a)
       .def_prop_ro("tracks", &Trail::tracks)
       .def("extend", &extend, "rows"_a)
       .def("restart", &Trail::restart)

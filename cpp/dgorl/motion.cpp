@@ -87,7 +87,6 @@ Step after(const Step& step, double stamp) {
 
 Step bridge(const Vector3& twist, double start, double end, double origin, const MotionModel& m) {
   const double gap = end - start;
-  if (gap > kHeld) return {start, end, origin, Vector3::Zero(), limit_noise(gap, m)};
   return {start, end, origin, exp(twist * gap).vec(), twist_noise(gap, m)};
 }
 

@@ -10,7 +10,7 @@
 namespace dgorl {
 
 constexpr double kKeyframesPerSecond = 2.0;  // keyframes stand at multiples of 0.5 s of the robot's clock
-constexpr double kHeld = 1.0;                // odometry missing for longer [s] is a gap: motion limits alone
+constexpr double kHeld = 1.0;                // odometry missing for longer [s] is a gap: it ends the track
 
 constexpr double kRounding = 1e-6;  // odometry nearer than this [s] follows on: the resolution of stamps
 
@@ -55,8 +55,7 @@ Step measured(const OdometryRow& row, const MotionModel& model);
 // The part of a step after a stamp inside it.
 Step after(const Step& step, double stamp);
 
-// A robot of which nothing is known between two stamps: short gaps go on with the last twist, longer ones
-// know the motion limits alone.
+// A robot of which nothing is known between two stamps, at most kHeld apart: it goes on with the last twist.
 Step bridge(const Vector3& twist, double start, double end, double origin, const MotionModel& model);
 
 // What motion limits say of a time of which nothing else is known.

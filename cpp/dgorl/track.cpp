@@ -138,7 +138,7 @@ void Trail::extend(const std::vector<OdometryRow>& rows) {
     if (step.end <= floor + kRounding) continue;
     if (step.start < floor - kRounding) step = after(step, floor);
     const double gap = begun ? step.start - floor : 0.0;
-    if (!track || (begun && (row.epoch != track->epoch || gap > silence_))) {
+    if (!track || (begun && (row.epoch != track->epoch || gap > kHeld))) {
       tracks_.push_back(std::make_shared<Track>(step.start, row.epoch));
       track = tracks_.back().get();
     } else if (begun && gap > kRounding) {

@@ -76,13 +76,13 @@ class Track {
 // All tracks of one robot, from its odometry in canonical order.
 class Trail {
  public:
-  Trail(const MotionModel& model, double silence) : model_(model), silence_(silence) {}
+  explicit Trail(const MotionModel& model) : model_(model) {}
 
   const std::vector<std::shared_ptr<Track>>& tracks() const { return tracks_; }
   const MotionModel& model() const { return model_; }
 
-  // Appends rows that follow on: overlap is cut off, short gaps are bridged, a new epoch or a gap longer than
-  // the silence begins a new track.
+  // Appends rows that follow on: overlap is cut off, up to kHeld is bridged, a new epoch or a longer gap
+  // begins a new track.
   void extend(const std::vector<OdometryRow>& rows);
   // Forgets all steps, to be built anew; what was dropped for good stays named.
   void restart();
@@ -90,7 +90,6 @@ class Trail {
 
  private:
   MotionModel model_;
-  double silence_;
   std::vector<std::shared_ptr<Track>> tracks_;
   std::shared_ptr<Track> root_;
 };

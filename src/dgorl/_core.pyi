@@ -264,9 +264,9 @@ class Track:
 
 @final
 class Trail:
-    """All tracks of one robot. motion: (13,) as dgorl.tracks.motion_values; silence [s]: a longer gap ends a track."""
+    """All tracks of one robot: more than 1 s without odometry ends one. motion: (13,), dgorl.tracks.motion_values."""
 
-    def __init__(self, motion: ArrayLike, silence: float) -> None: ...
+    def __init__(self, motion: ArrayLike) -> None: ...
     @property
     def tracks(self) -> list[Track]: ...
     def extend(self, rows: ArrayLike) -> None:

@@ -40,9 +40,6 @@ AT_ONCE = 6
 KINDS = {Rssi: "rssi", Range: "range", Bearing: "bearing"}
 """The table each reading is in."""
 
-DEFAULT_SILENCE = 30.0
-"""Without a bounded window, a robot silent for longer than this [s] begins a new track."""
-
 
 class History:
     """Admits measurements and keeps them as tracks and tables; ``rejected`` counts the others by reason."""
@@ -63,8 +60,6 @@ class History:
         self._inbox: list[tuple[float, int, Measurement]] = []
         self._count = 0
         self._at_once = AT_ONCE
-        window = configuration.window
-        self._silence = DEFAULT_SILENCE if window == "all" else float(window)
 
     def add(self, measurement: Measurement) -> None:
         """Take a measurement, own or received, in any order, twice without harm."""
@@ -220,7 +215,7 @@ class History:
                     readings[KINDS[type(m)]].append(self._converted(m))
         for robot in sorted(odometry):
             if robot not in self.trails:
-                self.trails[robot] = Trail(robot, self.configuration.motion, self._silence)
+                self.trails[robot] = Trail(robot, self.configuration.motion)
             since = self.trails[robot].add(odometry[robot])
             self._number(self.trails[robot])
             dirty = min(dirty, self._changed(self.trails[robot], odometry[robot]))

@@ -54,10 +54,10 @@ class Track(NamedTuple):
 class Trail:
     """All tracks of one robot, from its odometry."""
 
-    def __init__(self, robot: str, motion: Motion, silence: float) -> None:
+    def __init__(self, robot: str, motion: Motion) -> None:
         self.robot = robot
         self.tracks: list[Track] = []
-        self.core = _core.Trail(motion_values(motion), silence)
+        self.core = _core.Trail(motion_values(motion))
         self._lag, self._stated = motion.lag, motion.stated_covariance
         self._rows = Column((NARROW,))
 

@@ -26,7 +26,7 @@ def driven(twists: Sequence[tuple[float, float]], length: float = 0.5, start: fl
 
 
 def trail_of(rows: Sequence[Odometry], motion: Motion = EXACT) -> Trail:
-    trail = Trail("r1", motion, 30.0)
+    trail = Trail("r1", motion)
     trail.add(rows)
     return trail
 

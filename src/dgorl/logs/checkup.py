@@ -8,7 +8,6 @@ from itertools import pairwise
 from statistics import median
 
 from dgorl.findings import Finding, note, ok, problem
-from dgorl.history import DEFAULT_SILENCE
 from dgorl.logs.log import KINDS, Log
 from dgorl.measurements import Displacement, Measurement, Odometry, RelativePose, known_at, robots_of
 
@@ -67,11 +66,7 @@ def _odometry(robot: str, measurements: Iterable[Measurement]) -> Iterator[Findi
     if gaps:
         longest, at = max(gaps)
         times = f"{len(gaps)} times for over {GAP:g} s, longest for {longest:.1f} s from {at:g} s on"
-        what = f"{robot}: odometry is missing {times}"
-        if longest > DEFAULT_SILENCE:
-            yield note(AREA, what, "it is lost then and located anew afterwards")
-        else:
-            yield note(AREA, what, "it is predicted meanwhile, less surely")
+        yield note(AREA, f"{robot}: odometry is missing {times}", "it is located anew after each")
 
 
 def _contacts(log: Log) -> Iterator[Finding]:

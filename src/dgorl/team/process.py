@@ -14,7 +14,6 @@ from pathlib import Path
 
 from dgorl.configuration import as_dict
 from dgorl.evaluation.output import peak_rss_mb
-from dgorl.history import DEFAULT_SILENCE
 from dgorl.localizer import RETAINED
 from dgorl.replay import start_priors
 from dgorl.team.agent import Agent
@@ -40,6 +39,9 @@ LEAST = 0.002
 
 GRACE = 0.003
 """A tick is computed this much later [s], when the robot's own measurements up to it have come."""
+
+UNBOUNDED = 30.0
+"""With ``window: all`` the journal keeps as much as for a window of this length [s]."""
 
 log = logging.getLogger("dgorl.agent")
 
@@ -238,7 +240,7 @@ def _journal(setup: Setup, now: float) -> Journal:
 
 def _opened(setup: Setup) -> Journal:
     configuration = setup.team.configuration
-    window = DEFAULT_SILENCE if configuration.window == "all" else float(configuration.window)
+    window = UNBOUNDED if configuration.window == "all" else float(configuration.window)
     return Journal.open(
         setup.journal,
         setup.robot,

@@ -1,0 +1,70 @@
+"""Sensors that say nothing for a while: nobody is located while wrong, and everybody is found again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from dgorl import Displacement
+from dgorl.logs.log import Log
+from dgorl.measurements import known_at, robots_of
+from tests.integration.driven import KNOWN, arriving, every, is_right, position_error, wandering, watched
+
+HOMES = [[0, 0], [7, 1], [2, 6], [8, 7]]
+BEGIN = 17.0
+
+
+def silenced(log: Log, robots: Sequence[str], begin: float, end: float) -> Log:
+    """The log without what these robots would have said between the stamps."""
+
+    def said(m) -> bool:
+        who = m.robot if isinstance(m, Displacement) else robots_of(m)[0]
+        inside = m.start >= begin and m.end <= end if isinstance(m, Displacement) else begin < m.stamp <= end
+        return not (who in robots and inside)
+
+    return replace(log, measurements=tuple(m for m in log.measurements if said(m)))
+
+
+@pytest.mark.parametrize(
+    ("robots", "gap", "seed"),
+    [(["r3"], 2.0, 1), (["r1"], 4.5, 2), (["r2"], 9.0, 3), (["r1", "r2", "r3", "r4"], 2.5, 4)],
+    ids=["a peer", "the ego, first by name", "long", "everybody at once"],
+)
+def test_after_a_gap_a_robot_is_not_located_until_it_is_found(robots: list[str], gap: float, seed: int) -> None:
+    log = silenced(wandering(HOMES, 60, seed=seed), robots, BEGIN, BEGIN + gap)
+    estimates = watched(log, every(0.5, 60))
+    again = [e for e in estimates if BEGIN + gap < e.stamp <= BEGIN + gap + 2.0]
+    pairs = [peer for peer in log.robots[1:] if {"r1", peer} & set(robots)]
+    assert estimates[int(BEGIN * 2) - 1]["r2"].status in KNOWN, "found before the gap"
+    assert not any(e[peer].status in KNOWN for e in again for peer in pairs)
+    for estimate in estimates:
+        for peer, found in estimate.items():
+            if found.status in KNOWN:
+                error, _, sigma = position_error(log, estimate, peer)
+                assert error < max(1.0, 4 * sigma), (estimate.stamp, peer)
+    for peer in log.robots[1:]:
+        assert estimates[-1][peer].status in KNOWN
+        assert is_right(log, estimates[-1], peer)
+
+
+def test_the_others_stay_where_they_were() -> None:
+    log = wandering(HOMES, 45, seed=5)
+    estimates = watched(silenced(log, ["r2"], BEGIN, BEGIN + 3.0), every(0.5, 45))
+    for estimate in estimates[int(BEGIN * 2) :]:
+        for peer in ("r3", "r4"):
+            assert estimate[peer].status in KNOWN
+            assert is_right(log, estimate, peer, metres=1.5)
+
+
+def test_nothing_of_a_gap_is_left_when_late_rows_fill_it() -> None:
+    """Odometry that arrives out of order makes a gap for a while."""
+    log = wandering(HOMES[:3], 40, seed=6)
+    rows = [m for m in log.measurements if isinstance(m, Displacement) and m.robot == "r2" and 20 <= m.start < 24]
+    late = [known_at(m) + (6.0 if m in rows else 0.0) for m in log.measurements]
+    punctual = [known_at(m) for m in log.measurements]
+    stamps = every(0.5, 40.0, since=29.5)
+    assert arriving(log.measurements, late, log, stamps) == arriving(log.measurements, punctual, log, stamps)
+    during = [26.0]
+    assert arriving(log.measurements, late, log, during) != arriving(log.measurements, punctual, log, during)
