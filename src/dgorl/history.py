@@ -14,6 +14,7 @@ import numpy as np
 
 from dgorl import _core, se2
 from dgorl.configuration import Configuration
+from dgorl.exchanges import Reading
 from dgorl.measurements import (
     WORLD,
     Bearing,
@@ -25,7 +26,7 @@ from dgorl.measurements import (
     Rssi,
     known_at,
 )
-from dgorl.sightings import Reading, Table
+from dgorl.sightings import Table
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey, Trail, motion_values
 
 WORLD_KEY = TrackKey(WORLD, 0, -inf)

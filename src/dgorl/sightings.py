@@ -8,8 +8,7 @@ fall between bins.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,37 +16,14 @@ from numpy.typing import NDArray
 
 from dgorl import _core
 from dgorl.columns import Column
+from dgorl.crowds import PER_PAIR, PER_ROBOT, Order, crowded_out, sampled, second
+from dgorl.exchanges import Exchanges, Reading
 from dgorl.se2 import Array
 
 UNPLACED = -1
 
 EACH = ("each",)
 """What readings compete for that all count."""
-
-EXCHANGE = 5.0
-"""Readings of one exchange follow one another within this [s]; later, its number is that of another one."""
-
-Order = tuple[float, str, str, float, float]
-
-
-class Reading(NamedTuple):
-    """One scalar measurement: sorts canonically. ``a`` measured or transmits as the kind says, ``b`` is the other.
-
-    robot_a, robot_b: the history's numbers of both.
-    """
-
-    stamp: float
-    a: str
-    b: str
-    value: float
-    sigma: float
-    robot_a: int
-    robot_b: int
-    exchange: int | None = None
-
-    @property
-    def order(self) -> Order:
-        return self[:5]
 
 
 class Rows(NamedTuple):
@@ -72,10 +48,11 @@ class Table:
 
     def __init__(self, kind: str, thinning: float, directed: bool) -> None:
         self.kind = kind
-        self._thinning, self._directed = thinning, directed
+        self._thinning, self._directed = thinning and max(thinning, 1.0 / PER_PAIR), directed
+        self._author = 2 if kind == "rssi" else 1  # which robot of an order measured
         self._called: dict[int, str] = {}
         self._best: dict[tuple[object, ...], tuple[tuple[object, ...], Reading]] = {}
-        self._exchanges: defaultdict[tuple[object, ...], list[Order]] = defaultdict(list)
+        self._exchanges = Exchanges()
         numbers = [Column((), np.int64) for _ in range(4)]
         self._columns = (Column(), Column(), Column(), *numbers, Column((3,)), Column((3,)))  # as in Rows
         self._robots = (Column((), np.int64), Column((), np.int64))
@@ -100,15 +77,26 @@ class Table:
         a, b = (column.view[first:last] for column in self._robots)
         same = (a == reading.robot_a) & (b == reading.robot_b)
         same &= (values[first:last] == reading.value) & (sigmas[first:last] == reading.sigma)
-        rivals = sum(_counts(known, reading.order) for known in self._exchanges.values()) if same.any() else 0
+        rivals = self._exchanges.counts(reading.order) if same.any() else 0
         return int(np.count_nonzero(same)) > rivals
 
     def add(self, readings: Sequence[Reading]) -> float:
         """Take readings; the earliest stamp [s] from which rows changed, infinity if none did."""
-        if self._thinning == 0 and all(reading.exchange is None for reading in readings):
+        if self._thinning > 0:
+            return self._take(readings)
+        readings = sampled(list(readings), lambda reading: reading.order, self._author)
+        if all(reading.exchange is None for reading in readings):
             if readings:
                 self._insert(sorted(set(readings)))
-            return min((reading.stamp for reading in readings), default=np.inf)
+            dirty = min((reading.stamp for reading in readings), default=np.inf)
+        else:
+            dirty = self._take(readings)
+        return min(
+            dirty, *(self._thin_out(number) for number in {second(reading.stamp) for reading in readings}), np.inf
+        )
+
+    def _take(self, readings: Sequence[Reading]) -> float:
+        """Take readings that compete with others; returns what :meth:`add` does."""
         dirty = np.inf
         fresh: dict[tuple[object, ...], Reading] = {}
         removed = []
@@ -163,7 +151,7 @@ class Table:
                 column.drop(first)
             self._unplaced = {row - first for row in self._unplaced if row >= first}
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp >= before}
-            self._keep_exchanges(lambda order: order[0] >= before)
+            self._exchanges.keep(lambda stamp: stamp >= before)
 
     def rewind(self, since: float) -> None:
         """Drop rows stamped after ``since`` [s]."""
@@ -171,7 +159,7 @@ class Table:
         if first < len(self):
             self._rearrange(first, [])
             self._best = {slot: best for slot, best in self._best.items() if best[1].stamp <= since}
-        self._keep_exchanges(lambda order: order[0] <= since)
+        self._exchanges.keep(lambda stamp: stamp <= since)
 
     def _slot(self, reading: Reading) -> tuple[tuple[object, ...], tuple[object, ...]]:
         """What the reading competes for, and its merit there (smallest wins)."""
@@ -190,7 +178,7 @@ class Table:
     ) -> tuple[bool, Order | None]:
         """Whether a reading wins its slot, and the row that loses it."""
         if slot[0] == "exchange":
-            return _exchanged(self._exchanges[slot], reading.order)
+            return self._exchanges.take(slot, reading)
         rival = self._best.get(slot)
         if rival is not None and rival[0] <= merit:
             return False, None
@@ -198,9 +186,43 @@ class Table:
             self._best[slot] = (merit, reading)
         return True, rival[1].order if rival is not None else None
 
-    def _keep_exchanges(self, kept: Callable[[Order], bool]) -> None:
-        left = ((slot, [order for order in known if kept(order)]) for slot, known in self._exchanges.items())
-        self._exchanges = defaultdict(list, {slot: known for slot, known in left if known})
+    def _thin_out(self, number: int) -> float:
+        """Remove the readings of a second that are too many; the earliest stamp [s] at which rows changed."""
+        first, last = (int(np.searchsorted(self._columns[0].view, t, "right")) for t in (number - 1, number))
+        numbered = self._exchanges.within(number)
+        if not self._crowded(first, last, [reading for _, reading in numbered.values()]):
+            return np.inf
+        orders = {*self._keys(first, last), *numbered}
+        removed, promoted = [], dict[Order, Reading]()
+        for author in sorted({order[self._author] for order in orders}):
+            for order in crowded_out(order for order in orders if order[self._author] == author):
+                counted, follower = self._exchanges.withdraw(*numbered[order]) if order in numbered else (True, None)
+                if counted and promoted.pop(order, None) is None:
+                    removed.append(order)
+                if follower is not None:
+                    promoted[follower.order] = follower
+        if removed:
+            self._remove(removed)
+        if promoted:
+            self._insert(sorted(promoted.values(), key=lambda reading: reading.order))
+        return min((order[0] for order in (*removed, *promoted)), default=np.inf)
+
+    def _keys(self, first: int, last: int) -> Iterator[Order]:
+        """By which the rows from ``first`` to ``last`` are sorted."""
+        stamps, values, sigmas = (column.view[first:last].tolist() for column in self._columns[:3])
+        a, b = (map(self._called.__getitem__, column.view[first:last].tolist()) for column in self._robots)
+        return zip(stamps, a, b, values, sigmas, strict=True)
+
+    def _crowded(self, first: int, last: int, numbered: Sequence[Reading]) -> bool:
+        """Whether rows from ``first`` to ``last`` and readings of exchanges may be more than count of a robot."""
+        if last - first + len(numbered) <= PER_PAIR:
+            return False
+        named = [(reading.robot_a, reading.robot_b) for reading in numbered]
+        a, b = (np.append(column.view[first:last], [pair[k] for pair in named]).astype(np.int64)
+                for k, column in enumerate(self._robots))  # fmt: skip
+        most = np.bincount(b if self._author == 2 else a).max()
+        _, pairs = np.unique(a * (max(a.max(), b.max()) + 1) + b, return_counts=True)
+        return bool(most > PER_ROBOT or pairs.max() > PER_PAIR)
 
     def _insert(self, readings: list[Reading]) -> None:
         base = len(self)
@@ -254,27 +276,3 @@ class Table:
             column.rearrange(first, np.array(rows, dtype=np.int64))
         moved = {old: first + k for k, old in enumerate(rows) if old in self._unplaced}
         self._unplaced = {row for row in self._unplaced if row < first} | set(moved.values())
-
-
-def _exchanged(known: list[Order], order: Order) -> tuple[bool, Order | None]:
-    """Take a reading among those known of its exchange's number: whether it counts, and the row that no longer does.
-
-    In whatever order they come, the first counts of those that follow one another within 5 s.
-    """
-    k = bisect_left(known, order)
-    if known[k : k + 1] == [order]:
-        return False, None
-    counted = known[k] if _begins(known, k) else None
-    known.insert(k, order)
-    return _begins(known, k), None if _begins(known, k + 1) else counted
-
-
-def _begins(known: list[Order], k: int) -> bool:
-    """Whether an exchange begins with the k-th of the readings known of its number."""
-    return k < len(known) and (k == 0 or known[k][0] - known[k - 1][0] > EXCHANGE)
-
-
-def _counts(known: list[Order], order: Order) -> bool:
-    """Whether a reading is among those known of an exchange's number, and counts."""
-    k = bisect_left(known, order)
-    return known[k : k + 1] == [order] and _begins(known, k)

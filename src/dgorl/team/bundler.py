@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from dgorl import se2
+from dgorl.crowds import Order, sampled
 from dgorl.errors import MeasurementError
 from dgorl.measurements import (
     Bearing,
@@ -110,7 +111,7 @@ class Bundler:
 
         Without rows or clock readings: none.
         """
-        ready = [m for m in self._waiting if known_at(m) <= now]
+        ready = self._thinned([m for m in self._waiting if known_at(m) <= now])
         self._waiting = [m for m in self._waiting if known_at(m) > now]
         bounds = self._moved[: bisect_right(self._moved, now)]
         del self._moved[: len(bounds)]
@@ -123,6 +124,16 @@ class Bundler:
         self.track += len(bounds)
         self.sequence += len(bundles)
         return tuple(replace(bundle, sequence=self.sequence - len(bundles) + k) for k, bundle in enumerate(bundles))
+
+    def _thinned(self, rows: Sequence[Measurement]) -> list[Measurement]:
+        """Rows without the readings that would count nowhere, as there are too many of them (see `crowds`)."""
+        kept: list[Measurement] = []
+        for kind in (Step, Rssi, Range, Bearing):
+            of_kind = [row for row in rows if isinstance(row, kind)]
+            kept += of_kind if kind is Step else sampled(of_kind, _order, 2 if kind is Rssi else 1)
+        if len(kept) < len(rows):
+            self.dropped["more readings than count"] += len(rows) - len(kept)
+        return kept
 
     def _by_track(self, rows: Sequence[Measurement], bounds: Sequence[float]) -> list[list[Measurement]]:
         """Rows of the track until now and of those that began at ``bounds``; odometry of neither is dropped."""
@@ -229,6 +240,18 @@ def _composed(rows: Sequence[Step]) -> Displacement:
     upper = tuple(float(covariance[index]) for index in zip(*np.triu_indices(3), strict=True)) if stated else None
     first, last = rows[0], rows[-1]
     return Displacement(first.robot, first.start, last.end, dx, dy, dtheta, upper, first.epoch)  # type: ignore[arg-type]
+
+
+def _order(row: Measurement) -> Order:
+    """What a reading is sorted by; its value as measured."""
+    match row:
+        case Rssi():
+            return row.stamp, row.transmitter, row.receiver, row.dbm, 0.0
+        case Range():
+            return row.stamp, row.robot, row.peer, row.range, row.sigma or 0.0
+        case Bearing():
+            return row.stamp, row.observer, row.target, row.bearing, row.sigma or 0.0
+    raise AssertionError(row)
 
 
 def _delta(row: Step) -> se2.Array:
