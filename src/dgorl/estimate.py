@@ -22,11 +22,12 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class PeerHypothesis:
-    """One of the places an ambiguous peer may be: probability, pose (3,) and covariance (3, 3) as in PeerEstimate."""
+    """One of the places an ambiguous peer may be: probability, pose (3,) and covariances (3, 3) as in PeerEstimate."""
 
     probability: float
     pose: Array
     covariance: Array
+    tangent_covariance: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,10 @@ class PeerEstimate:
     """One peer in the ego's body frame (x forward, y left) at the estimate's stamp.
 
     pose: (3,) of x, y, theta [m, m, rad], None while isolated or ambiguous without a guess. covariance: (3, 3) of
-    (x, y, theta) in the ego's frame. probability: of the best hypothesis. age: since its last odometry [s].
-    reason: why not tracked; resolve_by: what would help. hypotheses: while ambiguous, all that are alive, most
-    probable first.
+    (x, y, theta) in the ego's frame, as wide as the errors are: an uncertain bearing bends what is known of a position.
+    tangent_covariance: (3, 3) of ξ in pose · Exp(ξ), to first order, for who fuses it.
+    probability: of the best hypothesis. age: since its last odometry [s]. reason: why not tracked; resolve_by: what
+    would help. hypotheses: while ambiguous, all that are alive, most probable first.
     """
 
     pose: Array | None
@@ -47,6 +49,7 @@ class PeerEstimate:
     reason: str = ""
     resolve_by: str = ""
     hypotheses: tuple[PeerHypothesis, ...] = ()
+    tangent_covariance: Array | None = None
 
 
 @dataclass(frozen=True)

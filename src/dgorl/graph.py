@@ -10,6 +10,7 @@ from dgorl import se2
 from dgorl.estimate import Edge, OptimizedGraph
 from dgorl.optimization.problem import Loss, Problem, Scalars
 from dgorl.radio import MINIMUM_DISTANCE
+from dgorl.relative import Relative
 from dgorl.se2 import Array
 from dgorl.team_state import TeamState
 from dgorl.tracks import Track, TrackKey
@@ -19,12 +20,12 @@ RECENT = 5.0
 
 
 def optimized_graph(
-    robot: str, own: Track | None, state: TeamState | None, relative: Mapping[TrackKey, tuple[Array, Array]]
+    robot: str, own: Track | None, state: TeamState | None, relative: Mapping[TrackKey, Relative]
 ) -> OptimizedGraph:
     """G_o of the component ``robot`` stands in, in its frame; the robot alone while nothing is joined."""
     if state is None or own is None:
         return OptimizedGraph({robot: np.zeros(3)}, (), np.zeros((1, 1)))
-    poses = {robot: np.zeros(3), **{key.robot: pose for key, (pose, _) in relative.items()}}
+    poses = {robot: np.zeros(3), **{key.robot: seen.pose for key, seen in relative.items()}}
     names = sorted({key.robot for key in state.window.layout})
     adjacency = np.zeros((len(names), len(names)))
     newest: dict[tuple[str, str, str], Edge] = {}

@@ -9,15 +9,15 @@ from math import degrees, hypot, isfinite, radians, sqrt
 
 import numpy as np
 
-from dgorl import _core
+from dgorl import _core, se2
 from dgorl.configuration import Configuration
 from dgorl.estimate import PeerHypothesis, Status
 from dgorl.expansion.hypotheses import Motion
 from dgorl.history import DEFAULT_RANGE_SIGMA, History
 from dgorl.observability_motion import MIRROR, Limits, resolve_by, weak_directions
 from dgorl.radio import relative_sigma
+from dgorl.relative import Relative, bent, first_order
 from dgorl.se2 import Array
-from dgorl.team_state import bent
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track
 
 UNKNOWN = 1e-6
@@ -54,12 +54,10 @@ def own_part(history: History, own: Track, now: float) -> Array | None:
     return own.core.foreseen(now, history.motion) if 0.0 < late <= OWN_LATENESS else None
 
 
-def without_own(pose: Array, covariance: Array, part: Array) -> Array:
-    """Covariance (3, 3) of a peer at pose (3,), as if that part of the ego's motion were known."""
-    moves = np.array([[1.0, 0.0, -pose[1]], [0.0, 1.0, pose[0]], [0.0, 0.0, 1.0]])
-    rest: Array = covariance - moves @ part @ moves.T
-    rest[:2, :2] -= bent(pose[None], part[2, 2])[0]
-    return rest
+def without_own(seen: Relative, part: Array) -> Array:
+    """Covariance (3, 3) of (x, y, theta) of a peer, as if that part of the ego's motion were known."""
+    back = se2.adjoint(se2.inverse(seen.pose))
+    return bent(seen.pose, first_order(seen.pose, seen.tangent - back @ part @ back.T))
 
 
 def turned_since(history: History, peer: Track, covariance: Array, now: float) -> bool:

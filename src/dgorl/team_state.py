@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -12,11 +11,10 @@ from dgorl import _core
 from dgorl.history import WORLD_KEY, History
 from dgorl.limits import optimum
 from dgorl.optimization.problem import Indices, Solution
+from dgorl.relative import Relative, relative_to
 from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, Window, assemble
-
-K = TypeVar("K")
 
 TOLERANCE = 3e-3
 """Largest last step of a tick's optimisation [m, rad]. Convergence is quadratic: the error left is far smaller, and no
@@ -36,33 +34,11 @@ class TeamState:
     covariance: Array
     window: Window
     solution: Solution
-    turning: Mapping[TrackKey, float]
-    """variance of how members have turned since their odometry ended, where it ends before ``stamp`` [rad²]"""
 
-    def relative(self, ego: TrackKey) -> Mapping[TrackKey, tuple[Array, Array]]:
-        """T_ego_j (3,) and its covariance (3, 3) of (x, y, theta) in the ego's frame, for every other member."""
-        e = self.members.index(ego)
-        poses, covariances = _core.relative(self.poses, self.covariance, e)
-        if ego in self.turning:
-            covariances[:, :2, :2] += bent(poses, self.turning[ego])
-        return {key: (poses[j], covariances[j]) for j, key in enumerate(self.members) if j != e}
-
-
-def bent(poses: Array, turning: float) -> Array:
-    """(N, 2, 2): how the arcs on which peers at poses (N, 3) may lie, as the ego may have turned, leave their tangents.
-
-    turning: variance of the ego's heading [rad²]. To first order peers would move on straight lines: with a robot's
-    odometry half a second late that is metres too little. E (1 − cos δ)² p pᵀ.
-    """
-    share = 1.5 - 2.0 * np.exp(-turning / 2) + np.exp(-2.0 * turning) / 2
-    grown: Array = share * poses[:, :2, None] * poses[:, None, :2]
-    return grown
-
-
-def turned(cores: Mapping[K, _core.Track], history: History, now: float) -> dict[K, float]:
-    """Variance of how robots have turned since their odometry ended, of those where it ends before ``now`` [rad²]."""
-    late = {key: core for key, core in cores.items() if core.known(now) < now}
-    return {key: float(core.foreseen(now, history.motion)[2, 2]) for key, core in late.items()}
+    def relative(self, ego: TrackKey) -> Mapping[TrackKey, Relative]:
+        """T_ego_j with its covariances, for every other member."""
+        seen = relative_to(self.poses, self.covariance, self.members.index(ego))
+        return {key: one for key, one in zip(self.members, seen, strict=True) if key != ego}
 
 
 def team_state(history: History, component: Component, low: float, now: float) -> TeamState:
@@ -82,11 +58,10 @@ def joint_now(history: History, window: Window, now: float, solve: Callable[[Ind
     solution = solve(last)
     cores = [tracks[key].core for key in members]
     poses, covariance = _core.carry(cores, now, history.motion, solution.poses[last], solution.covariance)
-    turning = turned(dict(zip(members, cores, strict=True)), history, now)
     if window.world is not None:
         members = (*members, WORLD_KEY)
         poses = np.concatenate([poses, np.zeros((1, 3))])
         grown = np.zeros((3 * len(members), 3 * len(members)))
         grown[:-3, :-3] = covariance
         covariance = grown
-    return TeamState(now, members, poses, covariance, window, solution, turning)
+    return TeamState(now, members, poses, covariance, window, solution)

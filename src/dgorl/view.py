@@ -17,7 +17,7 @@ from dgorl.graph import optimized_graph
 from dgorl.history import WORLD_KEY, History
 from dgorl.measurements import WORLD
 from dgorl.places import places_of
-from dgorl.se2 import Array
+from dgorl.relative import Relative
 from dgorl.status import (
     advice,
     ambiguous_reason,
@@ -33,8 +33,8 @@ from dgorl.tracks import Track, TrackKey
 UNPLACED = ("its clock is not known yet", "exchange messages both ways")
 """Reason and way out while a robot's stamps cannot be told in team time."""
 
-Relative = Mapping[TrackKey, tuple[Array, Array]]
-"""T_ego_peer (3,) and its covariance (3, 3) in the ego's frame, by track."""
+Peers = Mapping[TrackKey, Relative]
+"""How a robot sees the others, by track."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ class View:
         own = self._own.key if self._own is not None else None
         self._ahead = own_part(history, self._own, now) if self._own is not None else None
         self._state = next((s for s in team.joined if own in s.members), None)
-        self._relative: Relative = self._state.relative(own) if self._state is not None and own is not None else {}
+        self._relative: Peers = self._state.relative(own) if self._state is not None and own is not None else {}
         for state in team.doubted:
             if own is not None and own in state.members:
                 self._relative = {**self._relative, **state.relative(own)}
         self._cluster = next((c for c in team.clusters if any(own in state.members for _, state in c.hypotheses)), None)
-        self._possible: Sequence[tuple[float, Relative]] = []
+        self._possible: Sequence[tuple[float, Peers]] = []
         if self._cluster is not None and own is not None:
             self._possible = [(p, s.relative(own)) for p, s in self._cluster.hypotheses if own in s.members]
 
@@ -93,9 +93,9 @@ class View:
             if name != self._robot and track is not None:
                 peers[name] = self._peer(track)
         if WORLD_KEY in self._relative:
-            pose, covariance = self._relative[WORLD_KEY]
-            status, reason = self._judged(pose, covariance)
-            peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
+            seen = self._relative[WORLD_KEY]
+            status, reason = self._judged(seen)
+            peers[WORLD] = _known(seen, status, 0.0, reason)
         graph = (self._robot, self._own, self._state, self._relative)
         rejected = dict(history.rejected)
         return Estimate(
@@ -119,7 +119,9 @@ class View:
         if places:
             best, motion = places[0], self._cluster.motion if self._cluster is not None else ""
             if self._cluster is not None and any({self._own.key, track.key} == set(p) for p in self._cluster.sure):
-                return self._located(self._own, track, best.pose, best.covariance, age)
+                assert best.tangent_covariance is not None
+                seen = Relative(best.pose, best.covariance, best.tangent_covariance)
+                return self._located(self._own, track, seen, age)
             unfit = self._named(track, self._cluster.unfit if self._cluster is not None else frozenset())
             if unfit is not None:
                 reason, help_ = inconsistent(unfit)
@@ -127,7 +129,15 @@ class View:
                 reason, straight = ambiguous_reason(places, motion), motion == "straight"
                 help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, straight)
             return PeerEstimate(
-                best.pose, best.covariance, Status.AMBIGUOUS, best.probability, age, reason, help_, places
+                best.pose,
+                best.covariance,
+                Status.AMBIGUOUS,
+                best.probability,
+                age,
+                reason,
+                help_,
+                places,
+                best.tangent_covariance,
             )
         if any({self._own.key, track.key} <= set(part) for part in self._in_contact):
             suspect = self._named(track, self._team.suspects)
@@ -138,28 +148,26 @@ class View:
         return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no measurement links us", "come into range")
 
     def _joined(self, own: Track, track: Track, age: float) -> PeerEstimate:
-        pose, covariance = self._relative[track.key]
+        seen = self._relative[track.key]
         suspect = self._named(track, self._team.suspects)
         if suspect is not None:
             reason, help_ = inconsistent(suspect)
-            return PeerEstimate(pose, covariance, Status.UNOBSERVABLE, 1.0, age, reason, help_)
-        return self._located(own, track, pose, covariance, age)
+            return _known(seen, Status.UNOBSERVABLE, age, reason, help_)
+        return self._located(own, track, seen, age)
 
-    def _located(self, own: Track, track: Track, pose: Array, covariance: Array, age: float) -> PeerEstimate:
-        status, reason = self._judged(pose, covariance)
+    def _located(self, own: Track, track: Track, seen: Relative, age: float) -> PeerEstimate:
+        status, reason = self._judged(seen)
         if status is Status.TRACKED:
-            return PeerEstimate(pose, covariance, status, 1.0, age)
-        if status is Status.POSITION and turned_since(self._history, track, covariance, self._now):
-            return PeerEstimate(
-                pose, covariance, status, 1.0, age, f"{reason}: it may have turned since", "wait for its odometry"
-            )
-        help_ = advice(self._history, own, track, pose, covariance, self._now, False)
-        return PeerEstimate(pose, covariance, status, 1.0, age, reason, help_)
+            return _known(seen, status, age)
+        if status is Status.POSITION and turned_since(self._history, track, seen.covariance, self._now):
+            return _known(seen, status, age, f"{reason}: it may have turned since", "wait for its odometry")
+        help_ = advice(self._history, own, track, seen.pose, seen.covariance, self._now, False)
+        return _known(seen, status, age, reason, help_)
 
-    def _judged(self, pose: Array, covariance: Array) -> tuple[Status, str]:
+    def _judged(self, seen: Relative) -> tuple[Status, str]:
         """Status of a joined peer and why it is not tracked: by what is not the robot's own lateness."""
-        known = covariance if self._ahead is None else without_own(pose, covariance, self._ahead)
-        return joined_status(self._robot, pose, known, self._history.configuration)
+        known = seen.covariance if self._ahead is None else without_own(seen, self._ahead)
+        return joined_status(self._robot, seen.pose, known, self._history.configuration)
 
     def _named(self, track: Track, keys: frozenset[TrackKey]) -> str | None:
         """Which of a peer and the robot itself is among these."""
@@ -169,6 +177,11 @@ class View:
     def _in_contact(self) -> tuple[tuple[TrackKey, ...], ...]:
         """Tracks that measurements of the last ``history`` seconds link, over others if need be."""
         return rpmg(contacts(self._history, self._history.horizon(self._now), self._now)).components
+
+
+def _known(seen: Relative, status: Status, age: float, reason: str = "", help_: str = "") -> PeerEstimate:
+    """A peer of whose place there is one opinion."""
+    return PeerEstimate(seen.pose, seen.covariance, status, 1.0, age, reason, help_, tangent_covariance=seen.tangent)
 
 
 def _current(history: History, robot: str, now: float) -> Track | None:

@@ -17,6 +17,7 @@ from dgorl.evaluation import output
 from dgorl.evaluation.records import PairRecord, Records
 
 HEADER = "t,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt,status,probability,age,reason,resolve_by"
+TANGENT = ",".join(f"var_tangent_{name}" for name in ("xx", "xy", "xt", "yy", "yt", "tt"))
 STATUS = (Status.ISOLATED, Status.AMBIGUOUS, Status.POSITION, Status.TRACKED)
 
 
@@ -35,7 +36,7 @@ def record() -> PairRecord:
         age=np.array([np.inf, 0.1, 0.1, 0.2]),
         reason=("nothing heard", 'two places, "left" or right', "", ""),
         resolve_by=("", "turn, then go on", "", ""),
-        truth=truth,
+        truth=truth, tangent=2.0 * covariance,
     )  # fmt: skip
 
 
@@ -50,17 +51,19 @@ def write(record: PairRecord, folder: Path) -> dict[str, object]:
 def test_csv_reads_back_to_the_last_bit(record: PairRecord, tmp_path: Path) -> None:
     write(record, tmp_path)
     text = (tmp_path / "relative/r1/r2.csv").read_text(encoding="utf-8")
-    assert text.splitlines()[0] == HEADER
+    assert text.splitlines()[0] == f"{HEADER},{TANGENT}"
     rows = list(csv.DictReader(text.splitlines()))
     assert [r["status"] for r in rows] == ["isolated", "ambiguous", "position", "tracked"]
     assert [r["reason"] for r in rows] == list(record.reason)
     assert [r["resolve_by"] for r in rows] == list(record.resolve_by)
     numbers = HEADER.split(",")[:10]
     assert rows[0]["t"] == "0.1"
-    assert all(rows[0][name] == "" for name in numbers[1:])
+    tangent = TANGENT.split(",")
+    assert all(rows[0][name] == "" for name in (*numbers[1:], *tangent))
     for k in (1, 2, 3):
         upper = record.covariance[k][np.triu_indices(3)]
         assert [float(rows[k][name]) for name in numbers] == [record.t[k], *record.pose[k], *upper]
+        assert [float(rows[k][name]) for name in tangent] == (2.0 * upper).tolist()
         assert float(rows[k]["probability"]) == record.probability[k]
         assert float(rows[k]["age"]) == record.age[k]
 
@@ -68,14 +71,19 @@ def test_csv_reads_back_to_the_last_bit(record: PairRecord, tmp_path: Path) -> N
 def test_hypotheses_read_back_by_rank(record: PairRecord, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     root = rng.normal(size=(2, 3, 3))
-    alive = tuple(PeerHypothesis(p, rng.normal(size=3), r @ r.T) for p, r in zip((0.6, 0.1 + 0.2), root, strict=True))
+    alive = tuple(
+        PeerHypothesis(p, rng.normal(size=3), r @ r.T, 3.0 * (r @ r.T))
+        for p, r in zip((0.6, 0.1 + 0.2), root, strict=True)
+    )
     write(replace(record, hypotheses={1: alive}), tmp_path)
     text = (tmp_path / "hypotheses/r1/r2.csv").read_text(encoding="utf-8")
-    assert text.splitlines()[0] == "t,rank,probability,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt"
+    header = "t,rank,probability,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt"
+    assert text.splitlines()[0] == f"{header},{TANGENT}"
     rows = np.loadtxt(text.splitlines()[1:], delimiter=",")
     for rank, (row, hypothesis) in enumerate(zip(rows, alive, strict=True), 1):
-        upper = hypothesis.covariance[np.triu_indices(3)]
-        assert row.tolist() == [record.t[1], rank, hypothesis.probability, *hypothesis.pose, *upper]
+        assert hypothesis.tangent_covariance is not None
+        upper, tangent = (c[np.triu_indices(3)] for c in (hypothesis.covariance, hypothesis.tangent_covariance))
+        assert row.tolist() == [record.t[1], rank, hypothesis.probability, *hypothesis.pose, *upper, *tangent]
     write(record, tmp_path)
     assert not (tmp_path / "hypotheses").exists()
 

@@ -26,9 +26,9 @@ from dgorl.estimate import Estimate, OptimizedGraph, PeerEstimate, Status
 from dgorl.expansion.step import SPACING
 from dgorl.history import LATE, History
 from dgorl.measurements import LARGEST, WORLD, Measurement
+from dgorl.relative import Relative, relative_to
 from dgorl.se2 import Array
 from dgorl.status import joined_status
-from dgorl.team_state import bent, turned
 from dgorl.tracks import KEYFRAMES_PER_SECOND
 
 COARSE, FINE = 1.0, 0.01
@@ -49,7 +49,7 @@ class SmootherState:
     """Robots that stand in the smoother, carried on to ``stamp`` [s]; the world, without uncertainty, comes last.
 
     poses (n, 3), joint covariance (3n, 3n) of right perturbations. missing: why the others do not.
-    ages: since each robot's last odometry [s]. turning: see TeamState.
+    ages: since each robot's last odometry [s].
     """
 
     stamp: float
@@ -58,7 +58,6 @@ class SmootherState:
     covariance: Array
     missing: Mapping[str, str]
     ages: Mapping[str, float]
-    turning: Mapping[str, float]
 
 
 class FixedLagTeam:
@@ -131,12 +130,10 @@ class FixedLagTeam:
     def view(self, robot: str, state: SmootherState, now: float) -> Estimate:
         """The team as one robot sees it."""
         peers: dict[str, PeerEstimate] = {}
-        seen: dict[str, tuple[Array, Array]] = {}
+        seen: dict[str, Relative] = {}
         if robot in state.members:
-            poses, covariances = _core.relative(state.poses, state.covariance, state.members.index(robot))
-            if robot in state.turning:
-                covariances[:, :2, :2] += bent(poses, state.turning[robot])
-            seen = dict(zip(state.members, zip(poses, covariances, strict=True), strict=True))
+            placed = relative_to(state.poses, state.covariance, state.members.index(robot))
+            seen = dict(zip(state.members, placed, strict=True))
         names = sorted({*state.missing, *state.members[:-1]} - {robot})
         for peer in [*names, WORLD] if robot in seen else names:
             age = state.ages.get(peer, 0.0)
@@ -147,9 +144,9 @@ class FixedLagTeam:
                 reason = reason or f"nothing heard from {robot}"
                 peers[peer] = PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason)
                 continue
-            pose, covariance = seen[peer]
+            pose, covariance, tangent = seen[peer]
             status, reason = joined_status(robot, pose, covariance, self.configuration)
-            peers[peer] = PeerEstimate(pose, covariance, status, 1.0, age, reason)
+            peers[peer] = PeerEstimate(pose, covariance, status, 1.0, age, reason, tangent_covariance=tangent)
         return Estimate(robot, now, peers, dict(self.history.rejected), lambda: _graph(robot, peers))
 
     def _forget(self, now: float) -> None:
@@ -199,8 +196,7 @@ class FixedLagTeam:
             cores, newest = [chain.core for chain in chains], np.array([chain.poses[chain.last] for chain in chains])
             joint = self._covariance([chain.keys[chain.last] for chain in chains])
             poses[:-1], covariance[:-3, :-3] = _core.carry(cores, now, self.history.motion, newest, joint)
-        turning = turned({chain.key.robot: chain.core for chain in chains}, self.history, now)
-        return SmootherState(now, members, poses, covariance, missing, ages, turning)
+        return SmootherState(now, members, poses, covariance, missing, ages)
 
     def _covariance(self, keys: list[int]) -> Array:
         """Joint covariance (3n, 3n) of poses in their own tangents, which is GTSAM's convention too."""

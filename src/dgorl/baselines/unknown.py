@@ -22,7 +22,7 @@ from dgorl.measurements import (
     Odometry,
     RelativePose,
 )
-from dgorl.se2 import Array, rotation
+from dgorl.se2 import Array
 
 if TYPE_CHECKING:
     from dgorl.baselines import TeamEstimator
@@ -83,17 +83,13 @@ def starts_of(seen: Estimate, robots: Sequence[str], now: float) -> list[Relativ
     own = FRAME_SIGMA**2
     starts = [RelativePose(WORLD, robots[0], now, 0.0, 0.0, 0.0, (own, 0.0, 0.0, own, 0.0, own), prior=True)]
     for peer in robots[1:]:
-        pose, covariance = seen[peer].pose, seen[peer].covariance
+        pose, covariance = seen[peer].pose, seen[peer].tangent_covariance
         if pose is not None and covariance is not None:
             starts.append(_start(peer, now, pose, covariance))
     return starts
 
 
 def _start(peer: str, now: float, pose: Array, covariance: Array) -> RelativePose:
-    """The covariance turned from the reference's frame into the tangent at the pose."""
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(pose[2]).T
-    p = turn @ covariance @ turn.T
     x, y, theta = pose.tolist()
-    xx, xy, xt, yy, yt, tt = p[np.triu_indices(3)].tolist()
+    xx, xy, xt, yy, yt, tt = covariance[np.triu_indices(3)].tolist()
     return RelativePose(WORLD, peer, now, x, y, theta, (xx, xy, xt, yy, yt, tt), prior=True)

@@ -11,6 +11,7 @@ from dgorl.baselines.beliefs import Belief
 from dgorl.configuration import Configuration
 from dgorl.estimate import Estimate, OptimizedGraph, PeerEstimate, Status
 from dgorl.measurements import WORLD
+from dgorl.relative import Relative, bent, relative_to, turned
 from dgorl.se2 import Array
 from dgorl.status import joined_status
 
@@ -46,18 +47,19 @@ def team_view(
             reason = f"no odometry from {peer} for {age:.0f} s"
             peers[peer] = PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "restore the link")
             continue
-        pose, covariance = relative(own, other, bounded=bounded)
-        status, reason = joined_status(robot, pose, covariance, configuration)
-        peers[peer] = PeerEstimate(pose, covariance, status, 1.0, age, reason)
+        peers[peer] = _known(robot, relative(own, other, bounded=bounded), age, configuration)
     if own is not None:
-        pose, covariance = _of_world(own)
-        status, reason = joined_status(robot, pose, covariance, configuration)
-        peers[WORLD] = PeerEstimate(pose, covariance, status, 1.0, 0.0, reason)
+        peers[WORLD] = _known(robot, _of_world(own), 0.0, configuration)
     return Estimate(robot, now, peers, dict(rejected), lambda: _graph(robot, peers))
 
 
-def relative(own: Belief, other: Belief, *, bounded: bool) -> tuple[Array, Array]:
-    """T_own_other (3,) and its covariance (3, 3) of (x, y, theta) in the own frame.
+def _known(robot: str, seen: Relative, age: float, configuration: Configuration) -> PeerEstimate:
+    status, reason = joined_status(robot, seen.pose, seen.covariance, configuration)
+    return PeerEstimate(seen.pose, seen.covariance, status, 1.0, age, reason, tangent_covariance=seen.tangent)
+
+
+def relative(own: Belief, other: Belief, *, bounded: bool) -> Relative:
+    """T_own_other with its covariances.
 
     bounded: D_i/ω + D_j/(1 − ω) + independent parts, at the ω of the smallest determinant: no correlation of the
     dependent parts makes the error larger. Otherwise the plain sum, as if nothing were shared.
@@ -72,9 +74,14 @@ def relative(own: Belief, other: Belief, *, bounded: bool) -> tuple[Array, Array
     none = np.zeros((3, 3))
     pose = _core.relative(poses, np.zeros((6, 6)), 0)[0][1]
     if not bounded:
-        return pose, moved(own.covariance, other.covariance)
+        return _bent(pose, moved(own.covariance, other.covariance))
     mine, theirs = moved(own.dependent, none), moved(none, other.dependent)
-    return pose, tightest(mine, theirs) + moved(own.independent, other.independent)
+    return _bent(pose, tightest(mine, theirs) + moved(own.independent, other.independent))
+
+
+def _bent(pose: Array, covariance: Array) -> Relative:
+    """covariance: (3, 3) of (x, y, theta), to first order."""
+    return Relative(pose, bent(pose, covariance), turned(-pose[2], covariance))
 
 
 def tightest(a: Array, b: Array) -> Array:
@@ -83,11 +90,10 @@ def tightest(a: Array, b: Array) -> Array:
     return np.asarray(sums[int(np.argmin(np.linalg.det(sums)))])
 
 
-def _of_world(own: Belief) -> tuple[Array, Array]:
+def _of_world(own: Belief) -> Relative:
     joint = np.zeros((6, 6))
     joint[:3, :3] = own.covariance
-    poses, covariances = _core.relative(np.stack([own.pose, np.zeros(3)]), joint, 0)
-    return poses[1], covariances[1]
+    return relative_to(np.stack([own.pose, np.zeros(3)]), joint, 0)[1]
 
 
 def _graph(robot: str, peers: Mapping[str, PeerEstimate]) -> OptimizedGraph:

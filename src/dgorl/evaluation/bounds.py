@@ -19,6 +19,7 @@ from dgorl.logs.log import Log
 from dgorl.measurements import Measurement, known_at
 from dgorl.optimization import native
 from dgorl.optimization.problem import DensePrior, Indices, Loss, Problem, Solution
+from dgorl.relative import first_order
 from dgorl.se2 import Array
 from dgorl.team_state import TeamState, joint_now
 from dgorl.tracks import KEYFRAMES_PER_SECOND
@@ -54,8 +55,9 @@ def bound(
                 window = assemble(history, component, -np.inf, float(now), None)
                 state = _state_at_truth(history, window, log, float(now))
                 for ego in component.tracks:
-                    for peer, (_, covariance) in state.relative(ego).items():
+                    for peer, seen in state.relative(ego).items():
                         if peer != WORLD_KEY:
+                            covariance = first_order(seen.pose, seen.tangent)
                             found.setdefault((ego.robot, peer.robot), []).append((row, _bounded(covariance)))
     return {pair: _series(rows, len(stamps)) for pair, rows in found.items()}
 

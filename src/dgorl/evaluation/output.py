@@ -25,6 +25,7 @@ from dgorl.se2 import Array
 
 HEADER = "t,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt,status,probability,age,reason,resolve_by"
 HYPOTHESES_HEADER = "t,rank,probability,x,y,theta,var_xx,var_xy,var_xt,var_yy,var_yt,var_tt"
+TANGENT_HEADER = "var_tangent_xx,var_tangent_xy,var_tangent_xt,var_tangent_yy,var_tangent_yt,var_tangent_tt"
 _UPPER = np.triu_indices(3)
 
 
@@ -86,22 +87,24 @@ def prepare(directory: Path) -> None:
 
 def csv_lines(record: PairRecord) -> Iterator[str]:
     """The rows of ``relative/EGO/PEER.csv``; pose fields are empty where there is no pose."""
-    yield HEADER if record.data is None else f"{HEADER},data"
+    yield ",".join([HEADER, *([] if record.data is None else ["data"]), TANGENT_HEADER])
     for k, t in enumerate(record.t):
         numbers = [*record.pose[k], *record.covariance[k][_UPPER]]
         fields = [_number(t), *("" if np.isnan(value) else _number(value) for value in numbers)]
         fields += [str(record.status[k]), _number(record.probability[k]), _number(record.age[k])]
         fields += [_quote(record.reason[k]), _quote(record.resolve_by[k])]
-        yield ",".join(fields if record.data is None else [*fields, record.data[k]])
+        fields += [] if record.data is None else [record.data[k]]
+        yield ",".join([*fields, *_upper(None if record.tangent is None else record.tangent[k])])
 
 
 def hypotheses_lines(record: PairRecord) -> Iterator[str]:
     """The rows of ``hypotheses/EGO/PEER.csv``: where an ambiguous peer may be, rank 1 the most probable."""
-    yield HYPOTHESES_HEADER
+    yield f"{HYPOTHESES_HEADER},{TANGENT_HEADER}"
     for k, alive in sorted(record.hypotheses.items()):
         for rank, hypothesis in enumerate(alive, 1):
             numbers = [hypothesis.probability, *hypothesis.pose, *hypothesis.covariance[_UPPER]]
-            yield ",".join([_number(record.t[k]), str(rank), *map(_number, numbers)])
+            tangent = _upper(hypothesis.tangent_covariance)
+            yield ",".join([_number(record.t[k]), str(rank), *map(_number, numbers), *tangent])
 
 
 def tum_lines(t: Array, pose: Array) -> Iterator[str]:
@@ -137,6 +140,12 @@ def _write(path: Path, lines: Any) -> None:
 def _number(value: float) -> str:
     """Shortest text that reads back as exactly this number."""
     return repr(float(value))
+
+
+def _upper(covariance: Array | None) -> list[str]:
+    """The six numbers of a covariance (3, 3), empty where it is not known."""
+    known = covariance is not None and bool(np.isfinite(covariance).all())
+    return [_number(value) for value in covariance[_UPPER]] if known and covariance is not None else [""] * 6
 
 
 def _quote(text: str) -> str:

@@ -27,7 +27,8 @@ class PairRecord:
     t (T,) [s]; pose (T, 3) of the peer in the ego's body frame [m, m, rad], NaN where there is none;
     covariance (T, 3, 3) of it, in the ego's frame; probability (T,); age (T,) [s]; truth (T, 3) the true
     pose, NaN where unknown; hypotheses: row → all that were alive at that tick, most probable first; rows without
-    any are left out. data (T,): the bundles each row was made of, for a live robot.
+    any are left out. data (T,): the bundles each row was made of, for a live robot. tangent (T, 3, 3): covariance in
+    the tangent space of the pose, NaN where there is none.
     """
 
     ego: str
@@ -43,6 +44,7 @@ class PairRecord:
     truth: Array
     hypotheses: Mapping[int, tuple[PeerHypothesis, ...]] = field(default_factory=dict)
     data: tuple[str, ...] | None = None
+    tangent: Array | None = None
 
     @property
     def located(self) -> NDArray[np.bool_]:
@@ -144,4 +146,5 @@ def _record(ego: str, peer: str, t: Array, seen: Sequence[PeerEstimate], truth: 
         resolve_by=tuple(e.resolve_by for e in seen),
         truth=between(truth_at(truth, ego, t), truth_at(truth, peer, t)),
         hypotheses={k: e.hypotheses for k, e in enumerate(seen) if e.hypotheses},
+        tangent=np.array([no_covariance if e.tangent_covariance is None else e.tangent_covariance for e in seen]),
     )

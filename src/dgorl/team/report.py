@@ -24,6 +24,7 @@ class Place(msgspec.Struct, frozen=True):
     probability: float
     pose: Pose
     covariance: Upper
+    tangent_covariance: Upper | None = None
 
 
 class Peer(msgspec.Struct, frozen=True):
@@ -37,6 +38,7 @@ class Peer(msgspec.Struct, frozen=True):
     reason: str
     resolve_by: str
     hypotheses: tuple[Place, ...] = ()
+    tangent_covariance: Upper | None = None
 
 
 class Clock(msgspec.Struct, frozen=True):
@@ -125,7 +127,8 @@ def estimates_of(peers: Mapping[str, Peer]) -> dict[str, PeerEstimate]:
             inf if p.age is None else p.age,
             p.reason,
             p.resolve_by,
-            tuple(PeerHypothesis(h.probability, np.array(h.pose), _matrix(h.covariance)) for h in p.hypotheses),
+            tuple(map(_hypothesis, p.hypotheses)),
+            None if p.tangent_covariance is None else _matrix(p.tangent_covariance),
         )
         for name, p in peers.items()
     }
@@ -140,8 +143,19 @@ def _peer(peer: PeerEstimate) -> Peer:
         float(peer.age) if isfinite(peer.age) else None,
         peer.reason,
         peer.resolve_by,
-        tuple(Place(float(h.probability), _pose(h.pose), _upper(h.covariance)) for h in peer.hypotheses),
+        tuple(map(_place, peer.hypotheses)),
+        None if peer.tangent_covariance is None else _upper(peer.tangent_covariance),
     )
+
+
+def _hypothesis(place: Place) -> PeerHypothesis:
+    tangent = None if place.tangent_covariance is None else _matrix(place.tangent_covariance)
+    return PeerHypothesis(place.probability, np.array(place.pose), _matrix(place.covariance), tangent)
+
+
+def _place(h: PeerHypothesis) -> Place:
+    tangent = None if h.tangent_covariance is None else _upper(h.tangent_covariance)
+    return Place(float(h.probability), _pose(h.pose), _upper(h.covariance), tangent)
 
 
 def _pose(pose: Array) -> Pose:
