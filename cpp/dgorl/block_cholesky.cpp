@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "dgorl/dense.hpp"
 #include "dgorl/panel_cholesky.hpp"
 
 namespace dgorl {
@@ -30,9 +31,27 @@ void BlockCholesky::forward(Eigen::Ref<Matrix> x, int first, int last) const {
   for (int b = first; b < last; ++b) {
     const Panel& p = layout_.panel(b);
     const int at = p.start - layout_.panel(first).start;
+    if (p.size >= kLargePanel && x.cols() > 1) {
+      forward_large(b, x, at);
+      continue;
+    }
     auto head = x.middleRows(at, p.size);
     diagonal(b).triangularView<Eigen::Lower>().solveInPlace(head);
     if (p.rows > p.size) x.middleRows(at + p.size, p.rows - p.size).noalias() -= coupling(b) * head;
+  }
+}
+
+void BlockCholesky::forward_large(int block, Eigen::Ref<Matrix> x, int at) const {
+  const Panel& p = layout_.panel(block);
+  const int stride = static_cast<int>(x.outerStride()), columns = static_cast<int>(x.cols());
+  for (int from = 0; from < p.size; from += kStrip) {
+    const int to = std::min(from + kStrip, p.size);
+    const double* strip = values_.data() + p.offset + from * p.rows;
+    const ConstBlock corner(strip + from, to - from, to - from, Eigen::OuterStride<>(p.rows));
+    auto head = x.middleRows(at + from, to - from);
+    corner.triangularView<Eigen::Lower>().solveInPlace(head);
+    subtract_product(x.data() + at + to, stride, strip + to, p.rows, {head.data(), 1, stride}, p.rows - to,
+                     columns, to - from);
   }
 }
 

@@ -34,6 +34,9 @@ class BlockCholesky {
   ConstBlock coupling(int block) const;
 
  private:
+  // One block of forward() by strips, where it is large; its part of x starts at row `at`.
+  void forward_large(int block, Eigen::Ref<Matrix> x, int at) const;
+
   const Layout& layout_;
   Buffer values_;
 };

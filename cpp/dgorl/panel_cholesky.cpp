@@ -4,17 +4,14 @@
 #include <cmath>
 
 #include "dgorl/block_cholesky.hpp"
+#include "dgorl/dense.hpp"
 
 namespace dgorl {
 namespace {
 
-constexpr int kStrip = 48;       // columns that stay in cache while they are worked on
-constexpr int kLargePanel = 96;  // from this size on Eigen's blocked products win over the tiles
-
 // c -= a b' for `Height` rows and 3 columns, all column-major; the tile stays in registers.
 template <int Height>
-inline void subtract_product(double* c, int c_stride, const double* a, const double* b, int stride,
-                             int depth) {
+inline void subtract_tile(double* c, int c_stride, const double* a, const double* b, int stride, int depth) {
   using Rows = Eigen::Matrix<double, Height, 1>;
   using Map = Eigen::Map<Rows>;
   Map out0(c), out1(c + c_stride), out2(c + 2 * c_stride);
@@ -63,9 +60,8 @@ class PanelCholesky {
     double* next = values + next_->offset;
     const int m = next_->size;
     if (m >= kLargePanel) {
-      Block(next, m, m, Eigen::OuterStride<>(next_->rows))
-          .selfadjointView<Eigen::Lower>()
-          .rankUpdate(Block(values_ + n_, m, n_, Eigen::OuterStride<>(rows_)), -1.0);
+      const double* coupling = values_ + n_;
+      subtract_product(next, next_->rows, coupling, rows_, {coupling, rows_, 1}, m, m, n_, true);
       return;
     }
     for (int j = 0; j < m; j += 3)
@@ -88,9 +84,9 @@ class PanelCholesky {
     if (from >= to) return;
     const double *a = values_ + from * rows_ + row_a, *b = values_ + from * rows_ + row_b;
     if (height == 6)
-      subtract_product<6>(c, c_stride, a, b, rows_, to - from);
+      subtract_tile<6>(c, c_stride, a, b, rows_, to - from);
     else
-      subtract_product<3>(c, c_stride, a, b, rows_, to - from);
+      subtract_tile<3>(c, c_stride, a, b, rows_, to - from);
   }
 
   // Columns j..j+2 less what the columns [from, j) contribute.
@@ -125,13 +121,12 @@ class PanelCholesky {
 
   // Right-looking update of the columns after a strip of a large panel.
   void update_rest(int from, int to) const {
-    const Eigen::OuterStride<> stride(rows_);
-    const Block head(values_ + from * rows_ + to, n_ - to, to - from, stride);
-    Block(values_ + to * rows_ + to, n_ - to, n_ - to, stride)
-        .selfadjointView<Eigen::Lower>()
-        .rankUpdate(head, -1.0);
-    const Block below(values_ + from * rows_ + n_, rows_ - n_, to - from, stride);
-    Block(values_ + to * rows_ + n_, rows_ - n_, n_ - to, stride).noalias() -= below * head.transpose();
+    const double *head = values_ + from * rows_ + to, *below = values_ + from * rows_ + n_;
+    const Strided transposed{head, rows_, 1};
+    subtract_product(values_ + to * rows_ + to, rows_, head, rows_, transposed, n_ - to, n_ - to, to - from,
+                     true);
+    subtract_product(values_ + to * rows_ + n_, rows_, below, rows_, transposed, rows_ - n_, n_ - to,
+                     to - from);
   }
 
   const Layout& layout_;

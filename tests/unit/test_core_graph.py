@@ -51,7 +51,7 @@ def test_hessian_and_step_match_the_reference(gauge: str, seed: int) -> None:
     assert not step[twin.reference.fixed].any()
 
 
-@pytest.mark.parametrize("robots", [8, 36], ids=["tiles", "large panels"])
+@pytest.mark.parametrize("robots", [8, 36, 43], ids=["tiles", "large panels", "their borders"])
 def test_solver_matches_dense_algebra(robots: int) -> None:
     """Blocks of 24 and of 108 variables, the second past the size from which another kernel works."""
     twin = team(np.random.default_rng(5), robots=robots, steps=4)
