@@ -111,6 +111,7 @@ Optimizer::Outcome Optimizer::try_step(std::vector<Pose>& poses, double damping,
 Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
   Result result;
   Damping damping{options.initial_damping};
+  Damping before_newton = damping;
   trial_ = poses;
   linearize(poses, Weighting::kNewton);
   scale_ = std::abs(normal_.cost);
@@ -135,6 +136,7 @@ Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
       damping.value = damping.floor;
     } else if (outcome == Outcome::kAccepted) {
       damping.accept((before - normal_.cost) / (0.5 * promised_));
+      before_newton = damping;
       full_rejected = false;
       newton_failed = 0;
       if (weighting_ != Weighting::kNewton && length_ < kClose) {
@@ -144,6 +146,7 @@ Result Optimizer::run(std::vector<Pose>& poses, const Options& options) {
     } else if (weighting_ == Weighting::kNewton && ++newton_failed < kNewtonTries && damping.value > 0.0) {
       damping.raise();
     } else if (weighting_ == Weighting::kNewton) {
+      damping = before_newton;  // what Newton's Hessian lacked is no reason to shorten the other's steps
       linearize(poses, Weighting::kTriggs);
       length_ = 0.0;
     } else {

@@ -1,8 +1,9 @@
 """Does a robot still fit its team? Two tests of a settled window, for robots that were carried or whose readings lie.
 
-METHOD §4, break. A robot that was carried shows as an odometry step the rest of the window contradicts: the cost falls
-by T ~ χ²(3) when the step is left out, and T follows from the step's residual u, its covariance Q and its posterior
-covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its readings instead, these no longer sum up as χ² does.
+METHOD §4, break. A robot that was carried shows as an odometry step the rest of the window contradicts: twice the cost
+falls by T ~ χ²(3) when the step is left out, and T follows from the step's residual u, its covariance Q and its
+posterior covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its readings instead, these no longer sum up as
+χ² does.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dgorl import se2
 from dgorl.graph import residuals, weights
+from dgorl.marginal import TOLERANCE
 from dgorl.optimization import native
-from dgorl.optimization.problem import Indices
+from dgorl.optimization.problem import Indices, Problem
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Window
@@ -40,8 +43,8 @@ FEWEST = 3
 SAME_STEP = 2
 """Keyframes up to which two nodes mean the same step."""
 
-NEAR_RANK = 1e-6
-"""Directions in which Q − C is this small beside Q are not determined by the rest of the window."""
+PRECISION = float(np.finfo(float).eps)
+"""Relative rounding error of one operation."""
 
 
 @dataclass(frozen=True)
@@ -131,20 +134,13 @@ def _carried(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]
     rows = _strained(window, poses, int(np.floor(g * KEYFRAMES_PER_SECOND)))
     if len(window.layout) < 2 or not rows:
         return []
-    begin, _, delta, information = window.problem.odometry
-    at = np.array([index for _, _, index in rows])
-    step = np.searchsorted(begin, at)  # every pose but a track's last begins one step, in order
-    count = len(rows)
-    joint = native.covariance(window.problem, poses, np.concatenate([at, at + 1])).reshape(2 * count, 3, 2 * count, 3)
-    k = np.arange(count)
-    first, second, cross = joint[k, :, k], joint[k + count, :, k + count], joint[k + count, :, k]
-    motion = se2.between(poses[at], poses[at + 1])
-    back = se2.adjoint(se2.inverse(motion))
-    cross = cross @ back.swapaxes(1, 2)
-    posterior = second - cross - cross.swapaxes(1, 2) + back @ first @ back.swapaxes(1, 2)
-    claimed = np.asarray(np.linalg.inv(information[step]))
-    drop = _drop(se2.between(delta[step], motion), claimed, posterior) / _spread(window, poses)
-    return [(Suspect(key, keyframe, float(t), True), 3) for (key, keyframe, _), t in zip(rows, drop, strict=True)]
+    t, dof = drop(window.problem, poses, np.array([index for _, _, index in rows]))
+    t /= _spread(window, poses)
+    return [
+        (Suspect(key, keyframe, float(excess), True), int(n))
+        for (key, keyframe, _), excess, n in zip(rows, t, dof, strict=True)
+        if n
+    ]
 
 
 def _spread(window: Window, poses: Array) -> float:
@@ -180,14 +176,56 @@ def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, in
     return rows
 
 
-def _drop(u: Array, q: Array, c: Array) -> Array:
-    """uᵀ(Q − C)⁻¹u (K,) over the directions that the rest of the window determines; u (K, 3), q and c (K, 3, 3)."""
-    root = np.linalg.cholesky(q)
-    white = np.linalg.solve(root, u[..., None])
-    left = np.eye(3) - np.linalg.solve(root, np.linalg.solve(root, c).swapaxes(1, 2))
-    values, vectors = np.linalg.eigh((left + left.swapaxes(1, 2)) / 2)
-    part = (vectors.swapaxes(1, 2) @ white)[..., 0]
-    return np.asarray(np.sum(np.where(values > NEAR_RANK, part**2 / np.maximum(values, NEAR_RANK), 0.0), axis=1))
+def _turned(angle: Array) -> Array:
+    """(K, 3, 3) that turn positions by angles (K,)."""
+    turn = np.zeros((len(angle), 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+    turn[:, 1, 0] = np.sin(angle)
+    turn[:, 0, 1] = -turn[:, 1, 0]
+    turn[:, 2, 2] = 1.0
+    return turn
+
+
+def drop(problem: Problem, poses: Array, at: Indices) -> tuple[Array, NDArray[np.int64]]:
+    """T = uᵀ(Q − C)⁻¹u (K,) ~ χ²(k): by how much 2 × cost falls without the odometry step from pose at[k] to the next.
+
+    poses (N, 3): the optimum. Also k (K,): in how many directions the rest of the problem determines the step.
+    """
+    begin, _, delta, information = problem.odometry
+    step = np.searchsorted(begin, at)  # every pose but a track's last begins one step, in order
+    count = len(at)
+    joint = native.covariance(problem, poses, np.concatenate([at, at + 1])).reshape(2 * count, 3, 2 * count, 3)
+    k = np.arange(count)
+    motion = se2.between(poses[at], poses[at + 1])
+    u = se2.between(delta[step], motion)
+    # u and Q are in the frame that odometry reports, covariances in the estimated one, which u turns against it.
+    turn = np.zeros((count, 3, 3))
+    turn[:, :2, :2], turn[:, 2, 2] = se2.rotation(u[:, 2]), 1.0
+    root = np.linalg.cholesky(np.linalg.inv(information[step]))
+    ahead = np.linalg.solve(root, turn)
+    back = ahead @ se2.adjoint(se2.inverse(motion))
+    first = back @ joint[k, :, k] @ back.swapaxes(1, 2)
+    second = ahead @ joint[k + count, :, k + count] @ ahead.swapaxes(1, 2)
+    cross = ahead @ joint[k + count, :, k] @ back.swapaxes(1, 2)
+    left = np.eye(3) - (first + second - cross - cross.swapaxes(1, 2))
+    share, vectors = np.linalg.eigh((left + left.swapaxes(1, 2)) / 2)
+    part = (vectors.swapaxes(1, 2) @ np.linalg.solve(root, u[..., None]))[..., 0]
+    told = share > _inexact(first, second, root, len(poses))[:, None]
+    return np.sum(part**2 / np.where(told, share, np.inf), axis=1), told.sum(axis=1)
+
+
+def _inexact(first: Array, second: Array, root: Array, size: int) -> Array:
+    """Up to which eigenvalue of I − C (K,) a direction is not told from one the rest says nothing of.
+
+    All in units of Q = root · rootᵀ (K, 3, 3), where an eigenvalue λ is the rest's share of what is known. C is a
+    difference of the variances κ of the step's two ends, first and second, from a Cholesky factorisation of ``size``
+    poses: it is exact to ε · size · κ (measured against extended precision: to a fiftieth of that). And the optimum
+    is exact to a step of TOLERANCE, δ in these units, which makes an error of δ²/λ in T: λ has to exceed δ² too. There
+    is no error of linearisation to add: u is linear in the motion's own perturbation.
+    """
+    kappa = np.maximum(np.trace(first, axis1=1, axis2=2), np.trace(second, axis1=1, axis2=2))
+    delta = TOLERANCE / np.linalg.svd(root, compute_uv=False)[:, -1]
+    return np.asarray(np.maximum(PRECISION * size * kappa, delta**2))
 
 
 def _rejected(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]]:

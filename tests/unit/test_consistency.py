@@ -1,11 +1,17 @@
-"""Who is a suspect for how long: two nodes in a row mean the same story, or they do not count together."""
+"""Who is a suspect, and for how long: two nodes in a row mean the same story, or they do not count together."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from dgorl.consistency import Suspect, chi2_limit
+from dgorl import se2
+from dgorl.consistency import Suspect, chi2_limit, drop
+from dgorl.optimization import native
+from dgorl.optimization.problem import Loss, Problem, Scalars
 from dgorl.tracks import TrackKey
 
 R1 = TrackKey("r1", 0, 0.0)
@@ -45,3 +51,90 @@ def test_readings_that_lie_have_lied_since_they_were_first_found() -> None:
 def test_a_step_first_and_readings_next_are_one_story() -> None:
     assert rejected(110).after(carried(99)) == rejected(99, nodes=2)
     assert carried(101).after(rejected(100)) == carried(101, nodes=2)
+
+
+# ---- by how much the cost falls without a step ----
+
+STEP_SIGMA = np.array([0.05, 0.004, 0.05])
+"""Forward, sideways, heading of a step [m, m, rad]: wheels slip forwards, hardly ever sideways."""
+
+
+def anchored(seed: int, count: int = 12, sigma: float = 0.1, step_sigma: np.ndarray = STEP_SIGMA) -> Problem:
+    """A robot that drives among three fixed ones and measures its distance from them, at the optimum."""
+    rng = np.random.default_rng(seed)
+    anchors = np.array([[0.0, 0, 0], [6, 1, 0], [2, 7, 0]])
+    told = np.column_stack([np.full(count - 1, 0.4), np.zeros(count - 1), rng.uniform(-0.5, 0.5, count - 1)])
+    true = [np.array([3.0, 2.0, rng.uniform(-3, 3)])]
+    for step in told:
+        true.append(se2.compose(se2.compose(true[-1], se2.exp(step)), step_sigma * rng.normal(size=3)))
+    poses = np.concatenate([anchors, true])
+    i = 3 + np.arange(count - 1)
+    a, b = np.repeat(np.arange(3), count), np.tile(3 + np.arange(count), 3)
+    apart = np.hypot(*(poses[a] - poses[b])[:, :2].T)
+    still = np.zeros((len(a), 3))
+    value, sigmas = apart + sigma * rng.normal(size=len(a)), np.full(len(a), sigma)
+    ranges = Scalars("range", a, b, still, still, np.zeros(len(a)), value, sigmas, Loss("none", 2.0))
+    information = np.tile(np.diag(step_sigma**-2.0), (count - 1, 1, 1))
+    slots = np.array([0, 0, 0, *range(count)])
+    fixed = np.arange(count + 3) < 3
+    problem = Problem(slots, fixed, poses, (i, i + 1, se2.exp(told), information), (ranges,))
+    return replace(problem, initial=native.solve(problem, np.zeros(0, np.int64), 1e-9).poses)
+
+
+def linear(problem: Problem, k: int) -> tuple[float, int]:
+    """T of step k and its degrees of freedom, from covariances."""
+    t, dof = drop(problem, problem.initial, problem.odometry[0][[k]])
+    return float(t[0]), int(dof[0])
+
+
+def exact(problem: Problem, k: int) -> float:
+    """Twice by how much the cost falls when the step is given up."""
+    i, j, delta, information = problem.odometry
+    weak = information.copy()
+    weak[k] *= 1e-9
+    found = [
+        native.solve(replace(problem, odometry=(i, j, delta, w)), np.zeros(0, np.int64), 1e-10).cost
+        for w in (information, weak)
+    ]
+    return 2 * (found[0] - found[1])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_t_is_what_the_cost_falls_by(seed: int) -> None:
+    """Also where the rest of the window hardly determines a step: there 1 % of the frame's turn was all of T."""
+    problem = anchored(seed)
+    for k in range(3, 9):
+        t, dof = linear(problem, k)
+        assert dof == 3
+        assert t == pytest.approx(exact(problem, k), rel=0.25, abs=0.6)
+
+
+def test_t_is_chi_squared() -> None:
+    found = np.array([linear(anchored(seed), 6)[0] for seed in range(300)])
+    assert np.mean(found) == pytest.approx(3.0, rel=0.2)
+    assert np.mean(found > chi2.isf(0.1, 3)) == pytest.approx(0.1, abs=0.05)
+    assert np.mean(found > chi2.isf(0.01, 3)) < 0.03
+
+
+def test_what_is_rounding_counts_in_no_direction() -> None:
+    """Nothing measures the last heading; and wheels good to a micrometre leave the rest nothing to say."""
+    t, dof = linear(anchored(1), 10)
+    assert dof == 2
+    assert t < chi2.isf(1e-6, 2)
+    for seed in range(5):
+        t, dof = linear(anchored(seed, step_sigma=np.full(3, 2e-6)), 6)
+        assert dof < 3
+        assert t < chi2.isf(1e-6, 3)
+
+
+def test_a_step_that_newton_refuses_shortens_no_later_one() -> None:
+    """From bent starts Newton's Hessian is often indefinite; the damping of its tries stayed, and rose for ever."""
+    taken = []
+    for seed in range(60):
+        problem = anchored(seed, 30)
+        start = problem.initial.copy()
+        bend = np.random.default_rng(seed).normal(size=(30, 3)) * (0.3, 0.3, 0.15)
+        start[3:] += np.cumsum(bend, axis=0)
+        taken.append(native.solve(replace(problem, initial=start), np.zeros(0, np.int64), 1e-9))
+    assert {found.reason for found in taken} == {"converged"}
+    assert max(found.iterations for found in taken) < 40
