@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dgorl import installation
+from dgorl import installation, logs
 from dgorl.findings import Finding, Level
 from dgorl.logs.checkup import checkup
 from dgorl.logs.log import Log, Start
@@ -61,7 +61,7 @@ def test_a_good_log_is_well_and_described() -> None:
         (log(*MOVES, *heard("r1", "r2")), Level.PROBLEM, "no reading links r3 to the others"),
         (log(*MOVES, *heard("r1", "r2"), *heard("r2", "r3")), Level.NOTE, "r1 and r3 never hear each other"),
         (log(*MOVES, *heard("r1", "r2"), *heard("r2", "r3")), Level.NOTE, "r1 never hears r2, who hear it"),
-        (log(*driven("r1"), *driven("r2"), *READINGS), Level.NOTE, "r3: no odometry"),
+        (log(*driven("r1"), *driven("r2"), *READINGS), Level.NOTE, "r3: no odometry, so nobody can locate it"),
         (
             log(*MOVES, *driven("r1", 25.5, 40.0), *READINGS),
             Level.NOTE,
@@ -73,7 +73,7 @@ def test_a_good_log_is_well_and_described() -> None:
         (
             log(*driven("r1"), *driven("r2"), *driven("r3", 1000.0, 1020.0), *heard("r1", "r3", 1000.0, 1010.0)),
             Level.PROBLEM,
-            "r3: stamped 1000 to 1020 s, at no time with the others (1 to 20 s)",
+            "r3: stamped 1000 to 1020 s, at no time with the others (1 to 20 s): the clocks differ by 999 s",
         ),
         (log(*MOVES, *READINGS, *driven("r2", 1e6, 1e6 + 2)), Level.PROBLEM, "r2: its clock jumps by 999981 s at 20 s"),
         (
@@ -95,6 +95,29 @@ def test_a_range_links_both() -> None:
 def test_own_clocks_need_not_agree() -> None:
     odd = log(*driven("r1"), *driven("r2", 1000.0, 1020.0), *heard("r1", "r2"), configuration={"clock": "estimated"})
     assert not any("stamped" in line for line in said(checkup(odd), Level.PROBLEM))
+
+
+@pytest.mark.parametrize("by", [-4000.0, 95.0, 7205.0])
+def test_odometry_on_another_clock_than_the_readings(by: float) -> None:
+    odd = log(*driven("r1"), *driven("r2", by, by + 20), *driven("r3"), *READINGS)
+    (line,) = (line for line in said(checkup(odd), Level.PROBLEM) if line.startswith("odometry of r2"))
+    assert line.endswith(f"share no time: the clocks differ by {abs(by):.0f} s")
+
+
+def test_held_twists_are_counted_as_rows(tmp_path: Path) -> None:
+    rows = [(t, robot) for t in (0, 1, 2, 3, 9, 10) for robot in ROBOTS if robot != "r2" or t not in (2, 3)]
+    text = "t,robot,v,omega\n" + "".join(f"{t},{robot},0.2,0\n" for t, robot in rows)
+    ranges = "t,from,to,range,sigma\n1,r1,r2,3,\n1,r2,r3,3,\n"
+    for name, what in (("team.yaml", "robots: [r1, r2, r3]\n"), ("odometry.csv", text), ("ranges.csv", ranges)):
+        (tmp_path / name).write_text(what)
+    findings = checkup(logs.read(tmp_path))
+    assert [line for line in said(findings, Level.OK) if "rows" in line] == [
+        "r1: 6 rows of odometry, 0.6 a second",
+        "r2: 4 rows of odometry, 0.4 a second",
+        "r3: 6 rows of odometry, 0.6 a second",
+    ]
+    assert "r2: odometry is missing 1 times for over 1 s, longest for 7.0 s from 2 s on" in said(findings, Level.NOTE)
+    assert "r1: odometry is missing 1 times for over 1 s, longest for 5.0 s from 4 s on" in said(findings, Level.NOTE)
 
 
 class TestInstallation:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from statistics import median
 
+from dgorl.configuration import Configuration, merge
 from dgorl.findings import Finding, note, ok, problem
+from dgorl.logs.clock_steps import clock_steps, path_of
 from dgorl.logs.log import KINDS, Log
-from dgorl.measurements import Displacement, Measurement, Odometry, RelativePose, known_at, robots_of
+from dgorl.logs.plausibility import plausibility
+from dgorl.measurements import Displacement, Measurement, Odometry, Range, RelativePose, known_at, robots_of
 
 AREA = "log"
 GAP = 1.0
@@ -40,23 +43,35 @@ def _all(log: Log) -> Iterator[Finding]:
         return
     first, last = min(stamps), max(stamps)
     names = ", ".join(log.robots)
-    yield ok(AREA, f"{log.path}: {len(log.robots)} robots ({names}), {last - first:.1f} s from {first:g} s on")
+    yield ok(AREA, f"{log.path}: {len(log.robots)} robots ({names}), {last - first:.1f} s from {first:.12g} s on")
     for reason, count in log.skipped.items():
         yield note(AREA, f"{count} left out: {reason}")
+    rows = {robot: _rows(own[robot]) for robot in log.robots}
     for robot in log.robots:
-        yield from _odometry(robot, own[robot])
+        yield from _odometry(robot, rows[robot], log.rows.get(robot))
+    configuration = merge(Configuration(), log.configuration, str(log.path))
+    yield from plausibility(log, configuration)
     yield from _contacts(log)
     yield from _starts(log)
     yield from _clocks(log, own)
+    if configuration.clock == "shared":
+        yield from _odometry_clocks(log, rows)
+        yield from _clock_steps(log, rows, configuration)
 
 
-def _odometry(robot: str, measurements: Iterable[Measurement]) -> Iterator[Finding]:
-    rows = sorted((m for m in measurements if isinstance(m, Odometry | Displacement)), key=lambda m: m.start)
+def _rows(measurements: Iterable[Measurement]) -> list[Odometry | Displacement]:
+    return sorted((m for m in measurements if isinstance(m, Odometry | Displacement)), key=lambda m: m.start)
+
+
+def _odometry(robot: str, rows: Sequence[Odometry | Displacement], counted: int | None) -> Iterator[Finding]:
+    """counted: rows in the file, where one of them makes several measurements."""
     if not rows:
-        yield note(AREA, f"{robot}: no odometry, so it is taken to stand still", "right for a beacon alone")
+        advice = "record its odometry; a beacon that stands has rows of zeros"
+        yield note(AREA, f"{robot}: no odometry, so nobody can locate it", advice)
         return
-    rate = len(rows) / ((rows[-1].end - rows[0].start) or 1.0)
-    yield ok(AREA, f"{robot}: {len(rows)} rows of odometry, {rate:.1f} a second")
+    count = len(rows) if counted is None else counted
+    rate = count / ((rows[-1].end - rows[0].start) or 1.0)
+    yield ok(AREA, f"{robot}: {count} rows of odometry, {rate:.1f} a second")
     gaps: list[tuple[float, float]] = []
     end = rows[0].end
     for row in rows[1:]:
@@ -65,7 +80,7 @@ def _odometry(robot: str, measurements: Iterable[Measurement]) -> Iterator[Findi
         end = max(end, row.end)
     if gaps:
         longest, at = max(gaps)
-        times = f"{len(gaps)} times for over {GAP:g} s, longest for {longest:.1f} s from {at:g} s on"
+        times = f"{len(gaps)} times for over {GAP:g} s, longest for {longest:.1f} s from {at:.12g} s on"
         yield note(AREA, f"{robot}: odometry is missing {times}", "it is located anew after each")
 
 
@@ -142,7 +157,7 @@ def _clocks(log: Log, own: Mapping[str, list[Measurement]]) -> Iterator[Finding]
         spans[robot] = stamps[0], stamps[-1]
         jump, at = max(((b - a, a) for a, b in pairwise(stamps)), default=(0.0, 0.0))
         if jump > JUMP:
-            yield problem(AREA, f"{robot}: its clock jumps by {jump:.0f} s at {at:g} s", "correct its later stamps")
+            yield problem(AREA, f"{robot}: its clock jumps by {jump:.0f} s at {at:.12g} s", "correct its later stamps")
     if log.configuration.get("clock") == "estimated":
         return
     for robot, (first, last) in spans.items():
@@ -153,8 +168,48 @@ def _clocks(log: Log, own: Mapping[str, list[Measurement]]) -> Iterator[Finding]
         if first > end or last < begin:
             yield problem(
                 AREA,
-                f"{robot}: stamped {first:g} to {last:g} s, at no time with the others ({begin:g} to {end:g} s)",
+                f"{robot}: stamped {first:.12g} to {last:.12g} s, at no time with the others "
+                f"({begin:.12g} to {end:.12g} s): the clocks differ by {abs(first - begin):.0f} s",
                 f"its clock is off by about {first - begin:+.1f} s: correct its stamps",
             )
         elif abs(first - begin) > LATE or abs(last - end) > LATE:
-            yield note(AREA, f"{robot}: there from {first:g} to {last:g} s, most from {begin:g} to {end:g} s")
+            yield note(
+                AREA, f"{robot}: there from {first:.12g} to {last:.12g} s, most from {begin:.12g} to {end:.12g} s"
+            )
+
+
+def _odometry_clocks(log: Log, rows: Mapping[str, Sequence[Odometry | Displacement]]) -> Iterator[Finding]:
+    """Robots whose odometry is stamped at no time at which anybody measures them."""
+    named: dict[str, list[float]] = defaultdict(list)
+    for m in log.measurements:
+        if not isinstance(m, Odometry | Displacement | RelativePose):
+            for robot in robots_of(m):
+                named[robot].append(m.stamp)
+    spans = {robot: (own[0].start, max(m.end for m in own)) for robot, own in rows.items() if own}
+    for robot, (first, last) in spans.items():
+        if not named[robot] or (min(named[robot]) <= last + GAP and max(named[robot]) >= first - GAP):
+            continue
+        begin, end = min(named[robot]), max(named[robot])
+        others = [span for name, span in spans.items() if name != robot] or [(begin, end)]
+        off = (first + last - median(a for a, _ in others) - median(b for _, b in others)) / 2
+        yield problem(
+            AREA,
+            f"odometry of {robot} ({first:.12g} to {last:.12g} s) and the readings that name {robot} "
+            f"({begin:.12g} to {end:.12g} s) share no time: the clocks differ by {abs(off):.0f} s",
+            f"its odometry is off by about {off:+.1f} s: correct its stamps",
+        )
+
+
+def _clock_steps(
+    log: Log, rows: Mapping[str, Sequence[Odometry | Displacement]], configuration: Configuration
+) -> Iterator[Finding]:
+    paths = {robot: path_of(own) for robot, own in rows.items() if own}
+    ranges = [m for m in log.measurements if isinstance(m, Range)]
+    for step in clock_steps(paths, ranges, configuration):
+        bad, good = step.misfit
+        yield problem(
+            AREA,
+            f"odometry of {step.robot} and the ranges that name {step.robot} disagree in time by {step.length:.1f} s "
+            f"from {step.stamp:.12g} s on: they miss by {bad:.2g} m as stamped, by {good:.2g} m without the pause then",
+            "a clock was set: correct the later stamps",
+        )
