@@ -2,6 +2,7 @@
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -26,7 +27,7 @@ MotionModel motion_model(nb::handle values) {
   return {p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12]};
 }
 
-void extend(Trail& trail, nb::handle rows) {
+std::vector<OdometryRow> odometry_rows(nb::handle rows) {
   const Argument<double> table("rows", rows, {kAny, kRowColumns});
   std::vector<OdometryRow> parsed(static_cast<std::size_t>(table.rows()));
   const double* p = table.data();
@@ -38,7 +39,15 @@ void extend(Trail& trail, nb::handle rows) {
     std::copy(p + 7, p + kRowColumns, row.stated);
     p += kRowColumns;
   }
-  trail.extend(parsed);
+  return parsed;
+}
+
+// How many rows of odometry are jumps, and no motion.
+std::int64_t count_jumps(nb::handle rows, nb::handle motion) {
+  const MotionModel model = motion_model(motion);
+  const std::vector<OdometryRow> parsed = odometry_rows(rows);
+  return std::count_if(parsed.begin(), parsed.end(),
+                       [&](const OdometryRow& row) { return jumps(row, model); });
 }
 
 // Number, keyframe and offset of each stamp on the tracks of its robot; number -1 where no track covers it.
@@ -167,9 +176,11 @@ void bind_tracks(nb::module_& m) {
           "__init__", [](Trail* self, nb::handle motion) { new (self) Trail(motion_model(motion)); },
           "motion"_a)
       .def_prop_ro("tracks", &Trail::tracks)
-      .def("extend", &extend, "rows"_a)
+      .def(
+          "extend", [](Trail& trail, nb::handle rows) { trail.extend(odometry_rows(rows)); }, "rows"_a)
       .def("restart", &Trail::restart)
       .def("forget", &Trail::forget, "before"_a);
+  m.def("count_jumps", &count_jumps, "rows"_a, "motion"_a);
   m.def("locate", &locate, "trails"_a, "robots"_a, "stamps"_a);
   m.def("odometry", &odometry, "tracks"_a, "first"_a, "last"_a);
   m.def("carry", &carry_on, "tracks"_a, "stamp"_a, "motion"_a, "poses"_a, "covariance"_a);

@@ -57,6 +57,15 @@ Vector3 part(const Vector3& delta, double share) {
   return exp(log(delta) * share).vec();
 }
 
+bool jumps(const OdometryRow& row, const MotionModel& m) {
+  const double duration = row.end - row.start, time = row.twist ? duration : 1.0;
+  const double distance = std::hypot(row.values.x(), row.values.y()) * m.linear_scale * time;
+  const double turned = row.twist ? row.values.z() * time : wrap(row.values.z());
+  const double longest = kBeyond * std::max(duration, kBunched);
+  return distance > longest * m.maximum_speed ||
+         std::abs(turned) * m.angular_scale > longest * m.maximum_turn_rate;
+}
+
 Step measured(const OdometryRow& row, const MotionModel& m) {
   const double duration = row.end - row.start;
   // A displacement's turn is known but for whole turns, a difference of headings often one too many.

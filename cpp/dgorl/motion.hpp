@@ -12,6 +12,9 @@ namespace dgorl {
 constexpr double kKeyframesPerSecond = 2.0;  // keyframes stand at multiples of 0.5 s of the robot's clock
 constexpr double kHeld = 1.0;                // odometry missing for longer [s] is a gap: it ends the track
 
+constexpr double kBeyond = 5.0;  // so many times faster than the limits is no motion but a jump of the sensor
+constexpr double kBunched = 0.1;  // ... over this [s] at least: stamps of short rows may be bunched
+
 constexpr double kRounding = 1e-6;  // odometry nearer than this [s] follows on: the resolution of stamps
 
 inline double square(double x) { return x * x; }
@@ -48,6 +51,9 @@ std::int64_t keyframe_before(double stamp);
 Pose exp(const Vector3& twist);     // pose after one unit of time
 Vector3 log(const Vector3& delta);  // the twist that makes delta in one unit of time
 Vector3 part(const Vector3& delta, double share);
+
+// Whether a row tells of a jump: an encoder that was reset, a pose that was corrected. It is no motion.
+bool jumps(const OdometryRow& row, const MotionModel& model);
 
 // Scaled, shifted by the wheels' lag, with its noise.
 Step measured(const OdometryRow& row, const MotionModel& model);

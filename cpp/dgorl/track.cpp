@@ -136,9 +136,13 @@ void Trail::extend(const std::vector<OdometryRow>& rows) {
                          : track ? static_cast<double>(track->first()) / kKeyframesPerSecond
                                  : -kInfinity;
     if (step.end <= floor + kRounding) continue;
+    if (jumps(row, model_)) {
+      jumped_ = true;
+      continue;
+    }
     if (step.start < floor - kRounding) step = after(step, floor);
-    const double gap = begun ? step.start - floor : 0.0;
-    if (!track || (begun && (row.epoch != track->epoch || gap > kHeld))) {
+    const double gap = track ? step.start - floor : 0.0;
+    if (!track || row.epoch != track->epoch || gap > kHeld || jumped_) {
       tracks_.push_back(std::make_shared<Track>(step.start, row.epoch));
       track = tracks_.back().get();
     } else if (begun && gap > kRounding) {
@@ -147,11 +151,13 @@ void Trail::extend(const std::vector<OdometryRow>& rows) {
       step.start = floor;
     }
     track->append(step);
+    jumped_ = false;
   }
 }
 
 void Trail::restart() {
   tracks_.clear();
+  jumped_ = false;
   if (root_) tracks_.push_back(root_->restarted());
 }
 
@@ -159,7 +165,7 @@ void Trail::forget(std::int64_t before) {
   const double stamp = static_cast<double>(before) / kKeyframesPerSecond;
   std::vector<std::shared_ptr<Track>> kept;
   for (const auto& track : tracks_)
-    if (track->end() >= stamp || track == tracks_.back()) kept.push_back(track);
+    if (track->end() > stamp || track == tracks_.back()) kept.push_back(track);
   for (const auto& track : kept) track->forget(before);
   tracks_ = std::move(kept);
   // A track that was not cut may still begin earlier, when older odometry comes late.

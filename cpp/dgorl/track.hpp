@@ -81,8 +81,8 @@ class Trail {
   const std::vector<std::shared_ptr<Track>>& tracks() const { return tracks_; }
   const MotionModel& model() const { return model_; }
 
-  // Appends rows that follow on: overlap is cut off, up to kHeld is bridged, a new epoch or a longer gap
-  // begins a new track.
+  // Appends rows that follow on: overlap is cut off, up to kHeld is bridged; a new epoch, a longer gap or a
+  // jump, which is left out, begins a new track.
   void extend(const std::vector<OdometryRow>& rows);
   // Forgets all steps, to be built anew; what was dropped for good stays named.
   void restart();
@@ -92,6 +92,7 @@ class Trail {
   MotionModel model_;
   std::vector<std::shared_ptr<Track>> tracks_;
   std::shared_ptr<Track> root_;
+  bool jumped_ = false;  // the last row was a jump
 };
 
 }  // namespace dgorl

@@ -280,6 +280,9 @@ class Trail:
     def forget(self, before: int) -> None:
         """Drop what lies before keyframe ``before``."""
 
+def count_jumps(rows: ArrayLike, motion: ArrayLike) -> int:
+    """How many rows of odometry (S, 13) are jumps: faster than the limits of ``motion`` (13,) by far, no motion."""
+
 def locate(trails: Sequence[Trail | None], robots: ArrayLike, stamps: ArrayLike) -> tuple[_Indices, _Indices, _Array]:
     """Where stamps (M,) [s] fall on the tracks of their robots (M,), by index into trails.
 

@@ -218,6 +218,8 @@ class History:
             if robot not in self.trails:
                 self.trails[robot] = Trail(robot, self.configuration.motion)
             since = self.trails[robot].add(odometry[robot])
+            if self.trails[robot].jumps:
+                self.rejected[f"odometry of {robot} faster than the limits"] = self.trails[robot].jumps
             self._number(self.trails[robot])
             dirty = min(dirty, self._changed(self.trails[robot], odometry[robot]))
             if since < inf:

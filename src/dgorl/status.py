@@ -5,6 +5,7 @@ Status follows the posterior alone; the words come from its weak directions and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import degrees, hypot, isfinite, radians, sqrt
 
 import numpy as np
@@ -18,7 +19,7 @@ from dgorl.observability_motion import MIRROR, Limits, resolve_by, weak_directio
 from dgorl.radio import relative_sigma
 from dgorl.relative import Relative, bent, first_order
 from dgorl.se2 import Array
-from dgorl.tracks import KEYFRAMES_PER_SECOND, Track
+from dgorl.tracks import HELD, KEYFRAMES_PER_SECOND, Track
 
 UNKNOWN = 1e-6
 """Added to information matrices [1/m²]: where nothing is known, little is."""
@@ -75,6 +76,20 @@ def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:
     if motion == "straight":
         return f"{MIRROR} not known: every robot has driven straight"
     return "several places fit" if len(places) > 1 else "one place fits, not yet for long enough to be sure"
+
+
+def after_gap(history: History, tracks: Sequence[Track], reason: str) -> str:
+    """The reason, with why these tracks have to be placed anew: a gap or a jump of a robot's odometry before one."""
+    for track in tracks:
+        name, trail = track.key.robot, history.trails[track.key.robot].tracks
+        last = next((t for t in reversed(trail) if t.key.begin < track.key.begin), None)
+        if last is None or last.key.epoch != track.key.epoch:
+            continue
+        silent = track.key.begin - last.end
+        if silent > HELD:
+            return f"no odometry from {name} for {silent:.1f} s until {track.key.begin:.1f} s: {reason}"
+        return f"odometry of {name} faster than its limits at {last.end:.1f} s: {reason}"
+    return reason
 
 
 def inconsistent(robot: str) -> tuple[str, str]:

@@ -23,6 +23,9 @@ from dgorl.se2 import Array
 KEYFRAMES_PER_SECOND = 2
 """Keyframes stand at multiples of 0.5 s of the robot's clock."""
 
+HELD = 1.0
+"""Odometry missing for longer [s] is a gap: it ends the track."""
+
 Row = tuple[float, ...]
 """start, end, epoch, 1 for a twist, its three values, six covariances: sorts canonically."""
 
@@ -57,8 +60,10 @@ class Trail:
     def __init__(self, robot: str, motion: Motion) -> None:
         self.robot = robot
         self.tracks: list[Track] = []
-        self.core = _core.Trail(motion_values(motion))
-        self._lag, self._stated = motion.lag, motion.stated_covariance
+        self._motion, self._lag, self._stated = motion_values(motion), motion.lag, motion.stated_covariance
+        self.core = _core.Trail(self._motion)
+        self.jumps = 0
+        """rows taken that are no motion, faster than the limits allow by far"""
         self._rows = Column((NARROW,))
 
     def has(self, m: Odometry | Displacement) -> bool:
@@ -76,6 +81,7 @@ class Trail:
         Odometry that comes in order may begin a track, and what is stamped as it begins is the new one's.
         """
         rows = _in_order(np.array([odometry_row(m, self._stated) for m in odometry]))
+        self.jumps += _core.count_jumps(rows, self._motion)
         known = self._rows.view
         in_order = not len(known) or tuple(rows[0, :4]) > tuple(known[-1, :4])
         before = len(self.tracks)
@@ -98,6 +104,8 @@ class Trail:
 
     def forget(self, before: int) -> None:
         """Drop what ended before keyframe ``before``."""
+        if not self.tracks:
+            return
         self.core.forget(before)
         stamp = self.core.tracks[0].first / KEYFRAMES_PER_SECOND - self._lag
         ends = np.maximum.accumulate(self._rows.view[:, 1])  # a long row may hold shorter ones

@@ -20,6 +20,7 @@ from dgorl.places import places_of
 from dgorl.relative import Relative
 from dgorl.status import (
     advice,
+    after_gap,
     ambiguous_reason,
     inconsistent,
     joined_status,
@@ -126,7 +127,8 @@ class View:
             if unfit is not None:
                 reason, help_ = inconsistent(unfit)
             else:
-                reason, straight = ambiguous_reason(places, motion), motion == "straight"
+                reason = after_gap(self._history, (track, self._own), ambiguous_reason(places, motion))
+                straight = motion == "straight"
                 help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, straight)
             return PeerEstimate(
                 best.pose,
@@ -144,6 +146,7 @@ class View:
             if suspect is not None:
                 return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, *inconsistent(suspect))
             reason = "measurements link us, but too few to tell where it is"
+            reason = after_gap(self._history, (track, self._own), reason)
             return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "keep moving within range")
         return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no measurement links us", "come into range")
 

@@ -18,6 +18,7 @@ from dgorl.tracks import Trail, motion_values, odometry_row
 from tests.unit.reference import random_information
 
 MOTION = Motion(maximum_speed=2.0, maximum_turn_rate=1.0)
+FAST = Motion(maximum_speed=20.0, maximum_turn_rate=20.0)
 UPPER = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
 
 
@@ -49,7 +50,7 @@ def test_preintegration_composes_motion_and_noise() -> None:
         expected = se2.compose(expected, delta)
         ad = se2.adjoint(se2.inverse(delta))
         covariance = ad @ covariance @ ad.T + noise
-    track = trail_of(rows).tracks[0]
+    track = trail_of(rows, FAST).tracks[0]
     delta, information = _core.odometry([track], [0], [1])
     np.testing.assert_allclose(se2.between(expected, delta[0]), 0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.inv(information[0]), covariance, rtol=1e-8)
@@ -72,7 +73,7 @@ def test_whole_turns_of_a_displacement_mean_nothing(turns: int) -> None:
 
 def test_preintegrated_covariance_is_that_of_sampled_motion() -> None:
     rows, deltas, noises = random_steps(4, seed=3)
-    delta, information = _core.odometry(trail_of(rows).tracks, [0], [1])
+    delta, information = _core.odometry(trail_of(rows, FAST).tracks, [0], [1])
     rng, x = np.random.default_rng(1), np.zeros((200_000, 3))
     for step, noise in zip(deltas, noises, strict=True):
         x = se2.compose(se2.compose(x, step), se2.exp(rng.multivariate_normal(np.zeros(3), noise, len(x))))
@@ -153,6 +154,64 @@ def test_a_gap_ends_the_track_in_whatever_order_its_rows_come(gap: float, chance
     assert [track.key.begin for track in trail.tracks] == begins
     trail.add([Odometry("r1", 2.25, 2.25 + gap, 0.5, 0.1)])
     assert [track.key.begin for track in trail.tracks] == [0.0]
+
+
+@given(st.integers(3, 20), st.booleans(), st.randoms())
+def test_a_jump_is_no_motion_and_ends_the_track_in_whatever_order_it_comes(
+    at: int, turns: bool, chance: Random
+) -> None:
+    """An encoder that is reset, a heading that is corrected: far beyond 2 m/s and 1 rad/s, the limits here."""
+    rows: list[Odometry | Displacement] = [Odometry("r1", k / 10, (k + 1) / 10, 1.0, 0.2) for k in range(25)]
+    rows[at] = Displacement("r1", at / 10, (at + 1) / 10, *((0.1, 0.0, -2.5) if turns else (-7.0, 0.4, 0.0)))
+    chance.shuffle(rows)
+    trail = Trail("r1", MOTION)
+    for row in rows:
+        trail.add([row])
+    assert trail.jumps == 1
+    assert [(t.key.begin, t.end) for t in trail.tracks] == [(0.0, at / 10), ((at + 1) / 10, 2.5)]
+
+
+def test_fast_rows_of_bunched_stamps_are_motion() -> None:
+    """A row of 0.1 s whose stamps came 2 ms apart seems fast, and a whole turn too much is none."""
+    rows = [Displacement("r1", 0.0, 0.1, 0.2, 0.0, 0.0), Displacement("r1", 0.1, 0.102, 0.2, 0.0, 0.0)]
+    rows.append(Displacement("r1", 0.102, 0.3, 0.2, 0.0, 2 * np.pi + 0.1))
+    trail = Trail("r1", MOTION)
+    trail.add(rows)
+    assert (len(trail.tracks), trail.jumps) == (1, 0)
+
+
+@pytest.mark.parametrize("gap", [1.5, 7.0])
+def test_a_gap_after_all_before_it_is_forgotten_is_one(gap: float) -> None:
+    """Dropped up to its last row, a track is rebuilt empty; what follows the gap is none of it."""
+    rows = [Odometry("r1", k / 4, (k + 1) / 4, 0.5, 0.1) for k in range(20)]
+    later = [Odometry("r1", 5.0 + gap + k / 4, 5.25 + gap + k / 4, 0.5, 0.1) for k in range(8)]
+    trail = Trail("r1", MOTION)
+    trail.add(rows)
+    trail.forget(12)
+    trail.add([*later[:3], *later[4:]])
+    assert trail.add([later[3]]) == -np.inf
+    assert [track.key.begin for track in trail.tracks if track.core.known(99.0) > 5.0] == [5.0 + gap]
+
+
+def test_forgetting_round_a_jump_keeps_what_rebuilds_the_rest() -> None:
+    rows: list[Odometry | Displacement] = [Odometry("r1", k / 4, (k + 1) / 4, 0.5, 0.1) for k in range(40)]
+    rows[20] = Displacement("r1", 5.0, 5.25, 0.0, -9.0, 0.0)
+    whole = Trail("r1", MOTION)
+    whole.add(rows)
+    for before in range(8, 14):
+        cut = Trail("r1", MOTION)
+        cut.add(rows[:30])
+        cut.forget(before)
+        cut.add([*rows[30:36], *rows[37:]])
+        assert cut.add([rows[36]]) == -np.inf
+        assert cut.tracks[-1].key == whole.tracks[-1].key
+        span = [cut.tracks[-1].core.first], [19]
+        found, expected = (_core.odometry([trail.tracks[-1].core], *span) for trail in (cut, whole))
+        np.testing.assert_array_equal(found[0], expected[0])
+    only = Trail("r1", MOTION)
+    only.add(rows[20:21])
+    only.forget(12)
+    assert only.tracks == []
 
 
 def test_tracks_end_with_silence_and_epochs() -> None:

@@ -13,10 +13,9 @@ from dgorl.logs.clock_steps import clock_steps, path_of
 from dgorl.logs.log import KINDS, Log
 from dgorl.logs.plausibility import plausibility
 from dgorl.measurements import Displacement, Measurement, Odometry, Range, RelativePose, known_at, robots_of
+from dgorl.tracks import HELD
 
 AREA = "log"
-GAP = 1.0
-"""Odometry that is missing for longer [s] is a gap."""
 JUMP = 3600.0
 """A clock does not stand still for so long [s]: it was set."""
 LATE = 10.0
@@ -75,12 +74,12 @@ def _odometry(robot: str, rows: Sequence[Odometry | Displacement], counted: int 
     gaps: list[tuple[float, float]] = []
     end = rows[0].end
     for row in rows[1:]:
-        if row.start - end > GAP:
+        if row.start - end > HELD:
             gaps.append((row.start - end, end))
         end = max(end, row.end)
     if gaps:
         longest, at = max(gaps)
-        times = f"{len(gaps)} times for over {GAP:g} s, longest for {longest:.1f} s from {at:.12g} s on"
+        times = f"{len(gaps)} times for over {HELD:g} s, longest for {longest:.1f} s from {at:.12g} s on"
         yield note(AREA, f"{robot}: odometry is missing {times}", "it is located anew after each")
 
 
@@ -187,7 +186,7 @@ def _odometry_clocks(log: Log, rows: Mapping[str, Sequence[Odometry | Displaceme
                 named[robot].append(m.stamp)
     spans = {robot: (own[0].start, max(m.end for m in own)) for robot, own in rows.items() if own}
     for robot, (first, last) in spans.items():
-        if not named[robot] or (min(named[robot]) <= last + GAP and max(named[robot]) >= first - GAP):
+        if not named[robot] or (min(named[robot]) <= last + HELD and max(named[robot]) >= first - HELD):
             continue
         begin, end = min(named[robot]), max(named[robot])
         others = [span for name, span in spans.items() if name != robot] or [(begin, end)]
