@@ -105,7 +105,11 @@ class Estimate(Mapping[str, PeerEstimate]):
     clocks: Mapping[str, ClockState] = field(default_factory=lambda: MappingProxyType({}))
 
     def __getitem__(self, peer: str) -> PeerEstimate:
-        return self.peers[peer]
+        try:
+            return self.peers[peer]
+        except KeyError:
+            known = ", ".join(self.peers) or "nobody"
+            raise KeyError(f"{self.robot} has heard of no robot {peer!r} until {self.stamp:g} s; of {known}") from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.peers)

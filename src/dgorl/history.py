@@ -25,6 +25,7 @@ from dgorl.measurements import (
     RelativePose,
     Rssi,
     known_at,
+    robots_of,
 )
 from dgorl.sightings import Table
 from dgorl.tracks import KEYFRAMES_PER_SECOND, Track, TrackKey, Trail, motion_values
@@ -43,7 +44,11 @@ KINDS = {Rssi: "rssi", Range: "range", Bearing: "bearing"}
 
 
 class History:
-    """Admits measurements and keeps them as tracks and tables; ``rejected`` counts the others by reason."""
+    """Admits measurements and keeps them as tracks and tables; ``rejected`` counts the others by reason.
+
+    named: robots that readings and relative poses name, and from when to when readings did [s]; driven: robots with
+    odometry, and from when to when. Both are kept for good.
+    """
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
@@ -57,6 +62,8 @@ class History:
         self.poses: list[RelativePose] = []
         self.numbers: dict[TrackKey, int] = {}
         self.motion = motion_values(configuration.motion)
+        self.named: dict[str, tuple[float, float]] = {}
+        self.driven: dict[str, tuple[float, float]] = {}
         self._heard: dict[str, int] = {}
         self._inbox: list[tuple[float, int, Measurement]] = []
         self._count = 0
@@ -209,11 +216,16 @@ class History:
             match m:
                 case Odometry() | Displacement():
                     odometry.setdefault(m.robot, []).append(m)
+                    _widen(self.driven, m.robot, m.start, m.end)
                 case RelativePose():
                     bisect.insort(self.poses, m, key=_pose_order)
                     dirty = min(dirty, m.stamp)
+                    for robot in {m.reference, m.robot} - {WORLD}:
+                        self.named.setdefault(robot, (inf, -inf))
                 case Rssi() | Range() | Bearing():
                     readings[KINDS[type(m)]].append(self._converted(m))
+                    for robot in robots_of(m):
+                        _widen(self.named, robot, m.stamp, m.stamp)
         for robot in sorted(odometry):
             if robot not in self.trails:
                 self.trails[robot] = Trail(robot, self.configuration.motion)
@@ -270,6 +282,11 @@ class History:
         heard = self._heard
         robots = heard.setdefault(a, len(heard)), heard.setdefault(b, len(heard))
         return Reading(stamp, a, b, value, sigma, *robots, exchange)
+
+
+def _widen(spans: dict[str, tuple[float, float]], robot: str, start: float, end: float) -> None:
+    first, last = spans.get(robot, (start, end))
+    spans[robot] = min(first, start), max(last, end)
 
 
 DEFAULT_RANGE_SIGMA = 0.15

@@ -75,6 +75,8 @@ def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:
         return "no robot has moved: ranges alone do not tell where it is"
     if motion == "straight":
         return f"{MIRROR} not known: every robot has driven straight"
+    if motion == "uncertain":
+        return f"{MIRROR} not known: odometry is too uncertain to tell how the robots drove"
     return "several places fit" if len(places) > 1 else "one place fits, not yet for long enough to be sure"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from types import MappingProxyType
 
 import numpy as np
@@ -65,6 +66,10 @@ class TeamNow:
     """robots heard of whose clock is not placed yet"""
 
 
+APART = 60.0
+"""A robot whose odometry and whose readings lie farther apart than this [s] stamps them with two clocks."""
+
+
 class View:
     """What ``robot`` knows of its peers at ``now`` [s]."""
 
@@ -93,6 +98,9 @@ class View:
             track = _current(history, name, self._now)
             if name != self._robot and track is not None:
                 peers[name] = self._peer(track)
+        for name in sorted(history.named.keys() - peers.keys() - {self._robot}):
+            why = f"no odometry from {name}", f"send the odometry of {name}"
+            peers[name] = PeerEstimate(None, None, Status.ISOLATED, 0.0, inf, *why)
         if WORLD_KEY in self._relative:
             seen = self._relative[WORLD_KEY]
             status, reason = self._judged(seen)
@@ -112,8 +120,8 @@ class View:
                 return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "our clock is not known yet", UNPLACED[1])
             return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no odometry of our own", "drive")
         if age > configuration.status.age:
-            reason = f"no odometry from {track.key.robot} for {age:.0f} s"
-            return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, reason, "restore the link")
+            why = f"no odometry from {track.key.robot} for {age:.0f} s", "restore the link"
+            return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, *(self._apart_in_time(track.key.robot) or why))
         if track.key in self._relative:
             return self._joined(self._own, track, age)
         places = places_of(track.key, self._possible)
@@ -127,9 +135,11 @@ class View:
             if unfit is not None:
                 reason, help_ = inconsistent(unfit)
             else:
-                reason = after_gap(self._history, (track, self._own), ambiguous_reason(places, motion))
-                straight = motion == "straight"
-                help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, straight)
+                reason, help_ = ambiguous_reason(places, motion), "check the units and covariances of the odometry"
+                if motion != "uncertain":
+                    mirror = motion == "straight"
+                    reason = after_gap(self._history, (track, self._own), reason)
+                    help_ = advice(self._history, self._own, track, best.pose, best.covariance, self._now, mirror)
             return PeerEstimate(
                 best.pose,
                 best.covariance,
@@ -148,7 +158,21 @@ class View:
             reason = "measurements link us, but too few to tell where it is"
             reason = after_gap(self._history, (track, self._own), reason)
             return PeerEstimate(None, None, Status.AMBIGUOUS, 0.0, age, reason, "keep moving within range")
-        return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, "no measurement links us", "come into range")
+        why = self._apart_in_time(track.key.robot) or ("no measurement links us", "come into range")
+        return PeerEstimate(None, None, Status.ISOLATED, 0.0, age, *why)
+
+    def _apart_in_time(self, peer: str) -> tuple[str, str] | None:
+        """Reason and way out if one of the two has odometry at no time at which readings name it."""
+        if self._history.configuration.clock != "shared":
+            return None
+        driven = self._history.driven
+        for name in (self._robot, peer):
+            (first, last), (begin, end) = driven[name], self._history.named.get(name, driven[name])
+            if begin - last > APART or first - end > APART:
+                differ = abs(driven[peer][0] - driven[self._robot][0])
+                reason = f"the clocks differ by {differ:.0f} s: readings name {name} when it has no odometry"
+                return reason, f"put the stamps of {name} on the team's clock"
+        return None
 
     def _joined(self, own: Track, track: Track, age: float) -> PeerEstimate:
         seen = self._relative[track.key]

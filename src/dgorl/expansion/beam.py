@@ -39,6 +39,9 @@ from dgorl.window import Component, alone
 STILL = 0.1
 """Who has gone less far than this [m] has not moved."""
 
+WANDER = 0.05
+"""Odometry that wanders off a straight line by more than this share of the way does not tell whether it is one."""
+
 RECENT = 20
 """Keyframes of a hypothesis that ticks optimise; what came before is a prior to them."""
 
@@ -212,7 +215,12 @@ def _motion(step: Step, graph: ClusterGraph, poses: Array) -> Motion:
         still.append(float(np.hypot(*np.ptp(path, axis=0))) <= STILL + 3 * reach and _way(delta) <= STILL)
     if all(still):
         return "still"
-    return "straight" if mirrored(paths, wander) else ""
+    if not mirrored(paths, wander):
+        return ""
+    # Wheels wander by a few per cent of a straight way: a bent path is no straight one because they may wander farther.
+    extents = [float(np.hypot(*np.ptp(path, axis=0))) for path in paths]
+    plausible = [min(noise, WANDER * extent) for noise, extent in zip(wander, extents, strict=True)]
+    return "straight" if mirrored(paths, plausible) else "uncertain"
 
 
 def _way(delta: Array) -> float:

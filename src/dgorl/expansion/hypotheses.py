@@ -37,8 +37,9 @@ CERTAIN = 0.999
 """Probability at which a relative pose is accepted, at two nodes in a row."""
 
 
-Motion = Literal["", "straight", "still"]
-"""Every track has gone straight, so that the mirror image fits as well; or none has moved at all. METHOD §3."""
+Motion = Literal["", "straight", "uncertain", "still"]
+"""Every track has gone straight, or as far as its odometry can tell, which is not far, so that the mirror image fits as
+well; or none has moved at all. METHOD §3."""
 
 
 @dataclass(frozen=True)
