@@ -111,7 +111,7 @@ def test_odometry_that_tells_nothing_is_not_called_straight() -> None:
     [
         ("clock_1h_off", "the clocks differ by 3625 s"),
         ("peer_without_odometry", "no odometry from c"),
-        ("omega_in_degrees", "too uncertain to tell"),
+        ("omega_in_degrees", "odometry of "),
         ("information_for_covariance.pyfg", "too uncertain to tell"),
     ],
 )

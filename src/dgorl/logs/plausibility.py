@@ -19,10 +19,8 @@ USUAL = 90.0
 """The percentile of speeds and turn rates that tells their unit."""
 FAST = 2.0
 """A robot whose usual speed or turn rate is that many times the configured limit has another unit, or another limit."""
-STEP = (3.0, 10.0)
-"""A single row that is that many times the limit of speed or turn rate, and more than ``LEAST``, is no motion."""
-LEAST = (0.3, 0.5)
-"""[m, rad]: less is noise of a short row"""
+STEP, BUNCHED = 5.0, 0.1
+"""A row that is so many times faster than a limit, over so long [s] at least, is no motion: the estimate leaves it out."""
 CLOSING = 6.0
 """Two robots whose distance usually changes that many times as fast as one may drive have another unit of range."""
 LISTED = 3
@@ -68,13 +66,15 @@ def _motion(robot: str, rows: Sequence[Odometry | Displacement], configuration: 
                 AREA, f"{robot}: {what} at {usual:.3g} {unit}, more than the {limits[k]:g} of `{names[k]}`", advice
             )
         else:
-            impossible |= (rate > STEP[k] * limits[k]) & (moved[:, k] > LEAST[k])
+            impossible |= moved[:, k] > STEP * limits[k] * np.maximum(duration, BUNCHED)
     where = np.flatnonzero(impossible)
     for j in where[:LISTED]:
         what = f"{moved[j, 0]:.3g} m and {moved[j, 1]:.2g} rad in {duration[j]:.3g} s at {rows[j].start:.12g} s"
         more = f", and {len(where) - 1} more such rows" if len(where) > LISTED and j == where[0] else ""
         yield note(
-            AREA, f"{robot}: an impossible step: {what}{more}", "no motion is faster than `motion.maximum_speed`"
+            AREA,
+            f"{robot}: an impossible step: {what}{more}",
+            "left out: no motion is so much faster than `motion.maximum_speed`",
         )
 
 
