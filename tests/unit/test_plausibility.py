@@ -16,7 +16,7 @@ from dgorl.measurements import Displacement, Measurement, Odometry, Range
 from dgorl.simulation import Scenario, simulate
 from tests.recordings import case, recording
 
-TEAM = Scenario(robots=3, area=12.0, sensors=("range",), period=0.2, steps=450, odometry_noise=0.1, seed=3)
+TEAM = Scenario(robots=3, area=12.0, sensors=("range",), steps=180, odometry_noise=0.1, seed=3)
 
 
 @pytest.fixture(scope="module")

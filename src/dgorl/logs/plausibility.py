@@ -20,7 +20,7 @@ USUAL = 90.0
 FAST = 2.0
 """A robot whose usual speed or turn rate is that many times the configured limit has another unit, or another limit."""
 STEP, BUNCHED = 5.0, 0.1
-"""A row that is so many times faster than a limit, over so long [s] at least, is no motion: the estimate leaves it out."""
+"""A row so many times faster than a limit, over so long [s] at least, is no motion: the estimate leaves it out."""
 CLOSING = 6.0
 """Two robots whose distance usually changes that many times as fast as one may drive have another unit of range."""
 LISTED = 3
