@@ -12,6 +12,8 @@ from dgorl.team.bundles import Bundle, Name, Sealed
 from dgorl.team.journal_admission import EARLY, Admission
 from dgorl.team.journal_data import held, parse, ranges
 from dgorl.team.journal_schema import JournalError
+from dgorl.team.keys import UNSIGNED
+from dgorl.team.wire import seal
 
 names = st.builds(
     Name, st.sampled_from(["r1", "r2", "a:b", "é.7-9"]), st.integers(0, 2**64 - 1), st.integers(0, 40) | st.just(2**40)
@@ -132,15 +134,17 @@ def test_a_clock_that_is_ahead_costs_others_nothing():
     """What is stamped far ahead waits apart; when its time comes it counts like any other."""
 
     def told(number: int, stamp: float) -> Sealed:
-        row = Range("r1", "r2", stamp, 3.0)
-        return Sealed(b"", Bundle("t", "r2", 7, number, 0, stamp, (row,)))
+        rows = tuple(Range("r2", "r1", stamp, 3.0 + k) for k in range(200))
+        return seal(Bundle("t", "r2", 7, number, 0, stamp, (), (), rows), UNSIGNED)
 
     admission = Admission(Configuration())
-    for number in range(EARLY + 100):
+    fit = EARLY // len(told(300, 10_300.0).data)
+    for number in range(300, 300 + fit + 50):
         admission.offer(told(number, 10_000.0 + number))
-    assert admission.due(1.0, takes_late=True) == ()
-    assert not admission._waiting
-    assert admission.rejected == {"ahead of the clock": 100}
-    assert admission.due(10_099.5, takes_late=True) == ()
-    (first,) = admission.due(10_100.0, takes_late=True)
-    assert first.bundle.sequence == 100, "the newest were kept"
+        assert admission.due(1.0, takes_late=True) == ()
+        assert not admission._waiting
+    lost = admission.rejected["ahead of the clock"]
+    assert 40 <= lost <= 60, "so much waits as the limit says"
+    assert admission.due(10_300.0 + lost - 0.5, takes_late=True) == ()
+    (first,) = admission.due(10_300.0 + lost, takes_late=True)
+    assert first == told(300 + lost, 10_300.0 + lost), "the newest were kept"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from heapq import heappop, heappush
 from itertools import count
 from math import inf
@@ -11,15 +11,18 @@ from dgorl.configuration import Configuration
 from dgorl.history import LATE
 from dgorl.measurements import Displacement, Odometry, known_at
 from dgorl.team.bundles import Bundle, Sealed
-from dgorl.team.intake import AHEAD
 from dgorl.team.journal_data import ranges
 from dgorl.team.ranges import Ranges
+from dgorl.team.wire import reopened
 
 PATIENCE = 2.0
 """What comes in late goes together: it waits until no more comes, at most so long [s]. Each time is a rewind."""
 
-EARLY = 4096
-"""So many bundles that are stamped more than AHEAD after now wait, the newest."""
+EARLY = 4_000_000
+"""Of an epoch's bundles that are stamped after now so much waits [bytes], the newest ..."""
+
+SOON = 1.0
+"""... as bytes, those that are more than this [s] ahead: opened, a bundle takes 25 times the room."""
 
 
 class Admission:
@@ -34,7 +37,7 @@ class Admission:
         self._shared = configuration.clock == "shared"
         self._history = configuration.history
         self._waiting: list[Sealed] = []
-        self._early: list[tuple[float, int, Sealed]] = []
+        self._early: defaultdict[tuple[str, int], _Early] = defaultdict(_Early)
         self._order = count()
         self._late_before, self._late_since = inf, inf  # what is there at the start goes at once
         self._admitted: dict[tuple[str, int], Ranges] = {}
@@ -72,20 +75,19 @@ class Admission:
         return tuple(taken)
 
     def _put_off(self, now: float) -> None:
-        """What is stamped far ahead waits apart, the newest of it: a robot whose clock is wrong costs no more."""
+        """What is stamped ahead waits apart, the newest of it: a robot whose clock is wrong costs no more."""
         if not self._shared:
             return
         waiting, self._waiting = self._waiting, []
         for sealed in waiting:
-            if (latest := _latest(sealed.bundle, now)) > now + AHEAD:
-                heappush(self._early, (latest, next(self._order), sealed))
+            if (latest := _latest(sealed.bundle, now)) > now + SOON:
+                early = self._early[_origin(sealed.bundle)]
+                self.rejected["ahead of the clock"] += early.put(latest, next(self._order), sealed.data)
             else:
                 self._waiting.append(sealed)
-        while len(self._early) > EARLY:
-            heappop(self._early)
-            self.rejected["ahead of the clock"] += 1
-        while self._early and self._early[0][0] <= now + AHEAD:
-            self._waiting.append(heappop(self._early)[2])
+        for early in self._early.values():
+            self._waiting.extend(reopened(data) for data in early.due(now + SOON))
+        self._early = defaultdict(_Early, {origin: early for origin, early in self._early.items() if early.waiting})
 
     def _stopped(self, late: int, now: float) -> bool:
         """Whether of late bundles, ``late`` in number, no more came since the last tick, or they have come for long.
@@ -105,6 +107,35 @@ class Admission:
         new = bundle.sequence not in numbers
         numbers.add(bundle.sequence)
         return new
+
+
+class _Early:
+    """Sealed bundles of one epoch that wait for their time. ``waiting``: when, their order, the bytes."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[float, int, bytes]] = []
+        self._bytes = 0
+
+    def put(self, latest: float, order: int, data: bytes) -> int:
+        """Keep one until ``latest`` [s]; how many make way."""
+        heappush(self.waiting, (latest, order, data))
+        self._bytes += len(data)
+        before = len(self.waiting)
+        while self._bytes > EARLY:
+            self._next()
+        return before - len(self.waiting)
+
+    def due(self, now: float) -> list[bytes]:
+        """Those whose time has come."""
+        found = []
+        while self.waiting and self.waiting[0][0] <= now:
+            found.append(self._next())
+        return found
+
+    def _next(self) -> bytes:
+        data = heappop(self.waiting)[2]
+        self._bytes -= len(data)
+        return data
 
 
 def _origin(bundle: Bundle) -> tuple[str, int]:
