@@ -7,7 +7,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from math import atan2, hypot
 from pathlib import Path
@@ -100,6 +100,7 @@ def live_team(folder: Path, **changes: object) -> Iterator[LiveTeam]:
         senses.join()
         for process in team.robots.values():
             process.terminate()
-            process.stdin.close()
+            with suppress(BrokenPipeError):
+                process.stdin.close()
         for process in team.robots.values():
             process.wait(20)

@@ -24,7 +24,7 @@ from dgorl.team.keys import make_key
 from dgorl.team.report import Report, read_report
 from dgorl.team.zenoh_transport import open_session
 
-from .commandline import ENVIRONMENT, Dgorl, command, fails_well
+from .commandline import ENVIRONMENT, Dgorl, command
 
 RATE = 5.0
 
@@ -200,14 +200,17 @@ def test_measurements_on_loopback_and_none_from_the_team_network(launch: Callabl
 
 def test_what_is_wrong_is_said_in_one_line(dgorl: Dgorl, folder: Path) -> None:
     def agent(*words: object, robot: str = "r1") -> str:
-        return fails_well(dgorl("agent", "--robot", robot, "--team", folder / "team.yaml", *words, cwd=folder))
+        done = dgorl("agent", "--robot", robot, "--team", folder / "team.yaml", *words, cwd=folder)
+        (record,) = (json.loads(line) for line in done.stderr.splitlines())
+        assert (done.returncode, done.stdout, record["level"]) == (1, "", "critical")
+        return str(record["event"])
 
     key = ("--key", folder / "r1.key")
     assert "no robot is called `r3`; the robots are r1, r2" in agent(robot="r3")
     assert "r1 needs its key" in agent()
     assert "not the key of r1" in agent("--key", folder / "r2.key")
     assert "on loopback alone" in agent(*key, "--local", "tcp/0.0.0.0:7448")
-    assert "no-such.yaml" in fails_well(dgorl("agent", "--robot", "r1", "--team", folder / "no-such.yaml"))
+    assert "no-such.yaml" in dgorl("agent", "--robot", "r1", "--team", folder / "no-such.yaml").stderr
     done = dgorl("agent", "--robot", "r1")
     assert done.returncode == 2
 

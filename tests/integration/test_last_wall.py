@@ -16,7 +16,7 @@ from dgorl import Team, logs, se2
 from dgorl.evaluation.records import LOCATED
 from dgorl.nodes import Memo, Node
 from dgorl.replay import replay
-from dgorl.team import process
+from dgorl.team import teller
 from dgorl.team.agent import Agent
 from dgorl.team.journal_data import parse
 from dgorl.team.journal_schema import Kind
@@ -205,7 +205,7 @@ def test_the_process_logs_traceback_and_entry_of_the_journal(team: Lab, caplog: 
     team.run(13.0)
     newest = agent.journal.newest
     with caplog.at_level(logging.ERROR, logger="dgorl.agent"):
-        process.tell_troubles(agent)
+        teller.tell_troubles(agent)
     (record,) = caplog.records
     line = json.loads(JsonLines("r1").format(record))
     assert line["level"] == "error"
@@ -216,5 +216,5 @@ def test_the_process_logs_traceback_and_entry_of_the_journal(team: Lab, caplog: 
     with closing(sqlite3.connect(agent.journal.path)) as database:
         kind, now = database.execute("SELECT kind, now FROM entries WHERE number = ?", (line["entry"],)).fetchone()
     assert (kind, now) == (Kind.TICK, 12.5)
-    process.tell_troubles(agent)
+    teller.tell_troubles(agent)
     assert len(caplog.records) == 1

@@ -8,28 +8,49 @@ Example: dgorl agent --robot r1 --team team.yaml --key r1.key --stdin
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
+
+from dgorl.cli.main import FAILURE, INTERRUPTED, USAGE
+from dgorl.errors import DgorlError
+from dgorl.team.json_logs import log_to_stderr
 
 if TYPE_CHECKING:
     from dgorl.team.process import Setup
 
+log = logging.getLogger("dgorl.agent")
+
 
 def main(arguments: Sequence[str]) -> None:
-    """Run it until SIGTERM or SIGINT. Raises DgorlError; leaves by SystemExit(2) for wrong usage."""
+    """Run it until SIGTERM or SIGINT. What goes wrong is said in JSON, as all on stderr; leaves by SystemExit then."""
     options = _parser().parse_args(arguments)
-    from dgorl.team.json_logs import log_to_stderr  # after the parser: --help and usage errors are quick
-    from dgorl.team.process import run
-
     log_to_stderr(options.robot, options.log_level)
-    run(_setup(options))
+    try:
+        from dgorl.team.process import run  # after the parser: --help and usage errors are quick
+
+        run(_setup(options))
+    except (DgorlError, OSError) as error:
+        log.critical(str(error))
+        raise SystemExit(FAILURE) from error
+    except KeyboardInterrupt as error:
+        raise SystemExit(INTERRUPTED) from error
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says in JSON, too, what is wrong with its arguments: a log has one form."""
+
+    def error(self, message: str) -> NoReturn:
+        log_to_stderr("", "info")
+        log.critical(f"wrong usage: {message}; see `dgorl agent --help`")
+        raise SystemExit(USAGE)
 
 
 def _parser() -> argparse.ArgumentParser:
     summary, example = (__doc__ or "").strip().split("\n\n")
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         "dgorl agent",
         description=summary,
         epilog=example,

@@ -92,6 +92,7 @@ def _log(path: Path) -> Iterator[Finding]:
 def _network(path: Path, options: Options) -> Iterator[Finding]:
     from dgorl.cli.watcher import Watcher
     from dgorl.team.diagnosis import Heard, diagnosis
+    from dgorl.team.interfaces import Advice, Interfaces, addresses
     from dgorl.team.team_file import TeamFile
 
     try:
@@ -103,6 +104,9 @@ def _network(path: Path, options: Options) -> Iterator[Finding]:
     except DgorlError as error:
         yield problem("network", str(error), "nobody of the team can be heard from here until that is put right")
         return
+    if Interfaces(team.transport).look(addresses(team.transport.group)) is Advice.WAIT:
+        what = "this machine has no network: no interface has an address"
+        yield problem("network", what, "plug it in, or see `ip address`; agents join when it has one")
     yield from diagnosis(Heard(team, watcher.watch, present, now, options.seconds, nameless))
 
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Iterator
 from math import floor, inf
 
 from dgorl.errors import MeasurementError
-from dgorl.measurements import Measurement
+from dgorl.measurements import Measurement, known_at
 from dgorl.team.bulletin import Bulletins
-from dgorl.team.bundler import Bundler
+from dgorl.team.bundler import Bundler, Step
 from dgorl.team.bundles import Sealed
 from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.estimator import Estimator
@@ -21,13 +21,17 @@ from dgorl.team.intake import Moved, read_line
 from dgorl.team.journal import Journal
 from dgorl.team.journal_schema import JournalError
 from dgorl.team.keys import Signer
+from dgorl.team.rejections import Rejection
 from dgorl.team.report import Carried, Complaint, Report
 from dgorl.team.team_file import TeamFile
 from dgorl.team.transport import BULLETINS, Transport
 from dgorl.team.wall import Failure
 from dgorl.team.wire import open_sealed, seal
 
-BAD_LINE = "bad line"
+BAD_LINE, DISK = "bad line", "journal"
+"""Reasons counted of one's own measurements, and of what the disk refused."""
+OVERLAP = 0.05
+"""Odometry that begins this much [s] before the end of what came before is worth a word."""
 LINE_REPEATED = 80
 """So much of a bad line is repeated in the answer to it."""
 AT_ONCE = 8
@@ -54,6 +58,9 @@ class Agent:
         self.transport, self.journal = transport, journal
         self.troubles: deque[str] = deque(maxlen=100)
         """What went wrong and a person should hear of; taken out by who logs it."""
+        self.remarks: deque[tuple[str, dict[str, object]]] = deque(maxlen=100)
+        """... of the robot's own sensors: the event and more about it."""
+        self._told_until = -inf
         configuration = team.configuration
         self._signer, self._wire_bytes = signer, wire_bytes
         self._estimator = Estimator((robot, journal.epoch), team, journal, self._opened, self._trouble)
@@ -90,6 +97,30 @@ class Agent:
             self._bundler.moved(measured.stamp)
         else:
             self._bundler.add(measured)
+            if isinstance(measured, Step):
+                self._follow(measured)
+
+    def waiting(self) -> list[Measurement | Moved]:
+        """The robot's own measurements that were never sent, and when it was carried among them."""
+        found: list[Measurement | Moved] = []
+        track = 0
+        for sealed in self._unsent:
+            rows = sealed.bundle.measurements
+            if sealed.bundle.track > track and rows:
+                track = sealed.bundle.track
+                found.append(Moved(min(row.start if isinstance(row, Step) else known_at(row) for row in rows)))
+            found.extend(rows)
+        return [*found, *self._bundler.waiting]
+
+    def take_all(self, measured: Iterable[Measurement | Moved]) -> None:
+        """Take what an agent before this one could not send."""
+        for one in measured:
+            self.take(one)
+
+    @property
+    def rejections(self) -> deque[Rejection]:
+        """What others said that was not taken; taken out by who logs it."""
+        return self._gossip.rejected.untold
 
     @property
     def failures(self) -> deque[Failure]:
@@ -227,6 +258,14 @@ class Agent:
         for channel, payload in outgoing:
             self.transport.send(channel, payload)
 
+    def _follow(self, row: Step) -> None:
+        """Notice odometry that is not the next: a clock that was set, or two programs that feed one robot."""
+        by = self._told_until - row.start
+        if OVERLAP < by < inf:
+            what = "odometry overlaps what came before: of two rows for one time that counts which begins first"
+            self.remarks.append((what, {"by_s": round(by, 3), "start": row.start, "end": row.end}))
+        self._told_until = max(self._told_until, row.end)
+
     def _tell_watchers(self, report: Report, now: float) -> None:
         bulletin = self._bulletins.due(report, self._gossip.losses(now), now)
         if bulletin is not None:
@@ -241,5 +280,5 @@ class Agent:
         return dict(sorted(total.items()))
 
     def _trouble(self, error: JournalError) -> None:
-        self._rejected["journal"] += 1
+        self._rejected[DISK] += 1
         self.troubles.append(str(error))

@@ -27,6 +27,7 @@ from dgorl.measurements import (
     known_at,
 )
 from dgorl.team.bundles import Bundle, track_epoch
+from dgorl.team.intake import Moved
 from dgorl.team.wire import LIMITS, NAMES, ROWS, Limits, size
 
 CLOCKS_EVERY = 1.0
@@ -90,6 +91,11 @@ class Bundler:
             self.dropped["too many at once"] += 1
         else:
             self._waiting.append(measurement)
+
+    @property
+    def waiting(self) -> tuple[Measurement | Moved, ...]:
+        """What is in no bundle yet."""
+        return (*self._waiting, *map(Moved, self._moved))
 
     def moved(self, stamp: float) -> None:
         """The robot was carried at ``stamp`` [s]: a new track begins; odometry across it is dropped."""

@@ -31,6 +31,7 @@ from dgorl.team.push import AT_ONCE as PUSHED_AT_ONCE
 from dgorl.team.push import Pushes
 from dgorl.team.ranges import Ranges
 from dgorl.team.rates import Losses
+from dgorl.team.rejections import Rejections
 from dgorl.team.shelf import COUNT
 from dgorl.team.transport import Channel
 from dgorl.team.wants import AT_ONCE, Wants
@@ -103,7 +104,7 @@ class Gossip:
     ) -> None:
         """configuration: 8 bytes, hash of what all must have in common. history: how far back peers catch up [s]."""
         self.robot, self.epoch = robot, epoch
-        self.rejected: Counter[str] = Counter()
+        self.rejected = Rejections()
         self.counts: Counter[str] = Counter()
         self._roster, self._signer, self._configuration = roster, signer, configuration
         self._gate = Gate(robot, roster, configuration, limits)
@@ -125,7 +126,7 @@ class Gossip:
         try:
             message = self._gate.open(channel, sender, payload, self._library.admission, now)
         except Rejected as rejected:
-            self.rejected[rejected.reason] += 1
+            self.rejected.take(sender, rejected)
             return Reaction()
         reading = ClockReading(self.robot, self.epoch, sender, message.epoch, message.stamp, now)
         if not self._library.admission.admitted(message.key):
@@ -135,7 +136,7 @@ class Gossip:
         try:
             reaction = self._take(message, now)
         except Rejected as rejected:
-            self.rejected[rejected.reason] += 1
+            self.rejected.take(sender, rejected)
             reaction = Reaction()
         return reaction._replace(send=(*reaction.send, *self._due(now)), clocks=(reading,))
 
@@ -153,7 +154,7 @@ class Gossip:
         try:
             return message.bundles() if isinstance(message, Bundles) else []
         except Rejected as rejected:
-            self.rejected[rejected.reason] += 1
+            self.rejected.take(message.robot, rejected)
             return []
 
     def _take(self, message: Message, now: float) -> Reaction:
@@ -181,7 +182,7 @@ class Gossip:
         try:
             name, sealed = self._library.open(data, message.key, now)
         except Rejected as rejected:
-            self.rejected[rejected.reason] += 1
+            self.rejected.take(message.robot, rejected)
             return None
         if message.robot in self._neighbours:
             self._neighbours[message.robot].showed(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import queue
 import signal
 import sys
@@ -19,13 +20,18 @@ from dgorl.replay import start_priors
 from dgorl.team.agent import Agent
 from dgorl.team.faults import Faults, Faulty
 from dgorl.team.footprint import keep_small
+from dgorl.team.interfaces import Advice, Interfaces, addresses
 from dgorl.team.journal import Journal, Synchronous
+from dgorl.team.journal_none import NoJournal, refused_by_disk, room
+from dgorl.team.journal_schema import JournalError
+from dgorl.team.json_logs import tell_repeats
 from dgorl.team.keys import UNSIGNED, KeyFileError, Signer, load_key
 from dgorl.team.lines import WAITING, LinesIn, LinesOut
 from dgorl.team.local_session import LocalSession, port_of
 from dgorl.team.pace import Pace, Wall
 from dgorl.team.report import Report
 from dgorl.team.team_file import TeamFile
+from dgorl.team.teller import Teller
 from dgorl.team.transport import Transport
 from dgorl.team.wire_bytes import WireBytes
 from dgorl.team.zenoh_transport import ZenohTransport
@@ -36,6 +42,12 @@ LOOK = 0.03
 """The network is looked at this often [s] ..."""
 LEAST = 0.002
 """... in fast fleets more often, but no oftener than this [s]."""
+
+NETWORK_EVERY = 1.0
+"""Addresses of interfaces are looked at this often [s]."""
+
+TRY_EVERY = 2.0
+"""A disk that took nothing is tried again this often [s]."""
 
 GRACE = 0.003
 """A tick is computed this much later [s], when the robot's own measurements up to it have come."""
@@ -81,12 +93,15 @@ def run(setup: Setup) -> None:
 
     before = {number: signal.signal(number, told) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        _Process(setup, stop).run()
+        process = _Process(setup, stop)
+        process.run()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
     if signal.SIGINT in signals:
         raise KeyboardInterrupt
+    if process.again and not signals:
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 class _Process:
@@ -99,14 +114,16 @@ class _Process:
         self.lines: queue.Queue[bytes] = queue.Queue(WAITING)
         self.out = LinesOut(sys.stdout.fileno())
         self.local: LocalSession | None = None
+        self.teller = Teller()
+        self._try_at = self._network_at = time.monotonic()
+        self.interfaces = Interfaces(setup.team.transport)
+        self.again = False
 
     def run(self) -> None:
         setup = self.setup
         ports = [] if setup.local is None else [port_of(setup.local)]
         signer = _signer(setup)
-        journal = _journal(setup, self.now())
-        for notice in journal.notices:
-            log.warning(notice)
+        journal = self._journal()
         try:
             transport = self._transport()
             try:
@@ -115,9 +132,15 @@ class _Process:
                 agent = Agent(setup.robot, setup.team, signer, transport, journal, self.now(), WireBytes(ports))
                 if setup.stdin is not None:
                     threading.Thread(target=self._read, args=(setup.stdin,), daemon=True).start()
-                fields = {"team": setup.team.team, "epoch": f"{journal.epoch:016x}", "next": journal.next_sequence}
-                log.info("joined", extra={"fields": fields})
-                self._loop(agent)
+                self._joined(journal)
+                while isinstance(journal, NoJournal) and self._loop(agent, self._disk_takes_entries):
+                    journal = self._journal()
+                    waiting = agent.waiting()
+                    agent = Agent(setup.robot, setup.team, signer, transport, journal, self.now(), WireBytes(ports))
+                    agent.take_all(waiting)
+                    self._joined(journal)
+                if not isinstance(journal, NoJournal):
+                    self._loop(agent)
             finally:
                 transport.close()
                 if self.local is not None:
@@ -125,10 +148,42 @@ class _Process:
         finally:
             journal.close()
             self.out.close()
+        tell_repeats(all_of_it=True)
         log.info("left", extra={"fields": {"cpu_s": round(time.process_time(), 3), "peak_rss_mb": peak_rss_mb()}})
 
-    def _loop(self, agent: Agent) -> None:
-        """Steps until it is to stop; then what came last is committed and told, and the last estimate made."""
+    def _journal(self) -> Journal:
+        """The journal, or what stands in for it while the disk is full. Raises JournalError for a mistake."""
+        try:
+            journal = _journal(self.setup, self.now())
+        except JournalError as error:
+            if not refused_by_disk(error):
+                raise
+            journal = NoJournal(self.setup.journal, self.setup.robot, error)
+        for notice in journal.notices:
+            log.warning(notice)
+        return journal
+
+    def _disk_takes_entries(self) -> bool:
+        """Whether to try again with a journal; looked at seldom, as an attempt writes."""
+        if time.monotonic() < self._try_at:
+            return False
+        self._try_at = time.monotonic() + TRY_EVERY
+        return room(self.setup.journal)
+
+    def _joined(self, journal: Journal) -> None:
+        fields: dict[str, object] = {"team": self.setup.team.team}
+        if isinstance(journal, NoJournal):
+            what = "joined without a journal: its own measurements wait, it estimates from what the others say"
+            log.error(what, extra={"fields": fields | {"why": journal.why}})
+            return
+        fields |= {"epoch": f"{journal.epoch:016x}", "next": journal.next_sequence}
+        log.info("joined", extra={"fields": fields})
+
+    def _loop(self, agent: Agent, anew: Callable[[], bool] = lambda: False) -> bool:
+        """Steps until it is to stop; then what came last is committed and told, and the last estimate made.
+
+        anew: asked in every pass whether to end at once instead; whether it did.
+        """
         setup = self.setup
         end = float("inf") if setup.until is None else setup.until
         look = max(min(LOOK, LOOK * 10 / self.rate), LEAST)
@@ -136,6 +191,8 @@ class _Process:
         ended = False
         while not self.stop.is_set() and (now := self.now()) < end + setup.settle:
             self._measurements(agent)
+            if anew():
+                return True
             if ended:
                 agent.hear(now)
                 agent.publish(end, now)
@@ -148,14 +205,17 @@ class _Process:
                 ended = now >= end and agent.due > end
             else:
                 agent.hear(now)
-            tell_troubles(agent)
+            self.teller.look(agent)
+            if self.interfaces.watched and time.monotonic() >= self._network_at:
+                self._look_at_network(self.network)
             self.stop.wait(min(look, max(agent.due + grace - self.now(), 0.0) / self.rate))
         self._measurements(agent)
         last = min(self.now(), end)
         agent.hear(self.now())
         agent.publish(last, self.now())
         self._tell(agent.estimate(last, final=True))
-        tell_troubles(agent)
+        self.teller.look(agent)
+        return False
 
     def _measurements(self, agent: Agent) -> None:
         ahead = self.ahead()
@@ -168,6 +228,7 @@ class _Process:
                     self.local.error(complaint.text())
 
     def _tell(self, report: Report) -> None:
+        self.teller.report(report)
         line = report.line()
         self.out.write(line)
         if self.local is not None:
@@ -189,25 +250,27 @@ class _Process:
         setup = self.setup
         folder = setup.team.path.parent
         team = setup.team
-        transport: Transport = ZenohTransport(
-            team.team, setup.robot, team.transport, self.now, folder, team.roster.robots
-        )
+        members = team.roster.robots
+        self.network = ZenohTransport(team.team, setup.robot, team.transport, self.now, folder, members, joins=False)
+        self._look_at_network(self.network)
+        transport: Transport = self.network
         if setup.faults is not None:
             when = self.now if setup.pace is None else setup.pace.recording
             transport = Faulty(transport, setup.robot, setup.faults, when)
         return transport
 
-
-def tell_troubles(agent: Agent) -> None:
-    """Log what went wrong since it was asked last."""
-    while agent.troubles:
-        log.error(agent.troubles.popleft())
-    while agent.failures:
-        failure = agent.failures.popleft()
-        fields = {"tick": failure.tick, "journal": str(agent.journal.path), "entry": failure.entry}
-        fields |= {"repeated": failure.repeated} if failure.repeated else {}
-        what = "the estimator failed; no peer is located until it works again"
-        log.error(what, exc_info=failure.error, extra={"fields": fields})
+    def _look_at_network(self, network: ZenohTransport) -> None:
+        """Join the network when there is one, and say so while there is none. Raises NetworkError."""
+        self._network_at = time.monotonic() + NETWORK_EVERY
+        match self.interfaces.look(addresses(self.setup.team.transport.group)):
+            case Advice.WAIT:
+                log.warning("no network: no interface has an address; the team is out of reach")
+            case Advice.JOIN:
+                network.join()
+            case Advice.BEGIN_ANEW:
+                log.warning("an interface has a new address: the agent starts anew to be heard there")
+                self.again = True
+                self.stop.set()
 
 
 def _signer(setup: Setup) -> Signer:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Thread
 from time import sleep
 from typing import Any
 
@@ -32,6 +33,8 @@ PRESENT = 256
 """Beside the team's so many are noticed at most; those whose names no robot can have are counted."""
 RATE, BURST = 2 * MESSAGES_PER_SECOND, 4 * MESSAGES_PER_SECOND
 """What one sender says beyond this [1/s], and more at once, is not even copied: the gate would let in half of it."""
+CLOSING = 3.0
+"""Leaving in good order takes at most so long [s]."""
 BRAKE, EVERY = 0.01, 20
 """So long [s] the network waits after so many too many: whoever floods us is slowed down by its own connection."""
 
@@ -58,6 +61,7 @@ class ZenohTransport:
 
     clock: the robot's local clock [s], read when a message comes in. members: the team's robots; all others share what
     one may say. folder: where relative paths of TLS files start.
+    joins: at once, or later, when :meth:`join` is called.
     watching: it is no robot of the team but hears digests and bulletins of all, and says nothing.
     Raises NetworkError when the network cannot be used, ConfigurationError for missing TLS files.
     """
@@ -72,6 +76,7 @@ class ZenohTransport:
         members: Collection[str],
         *,
         watching: bool = False,
+        joins: bool = True,
     ) -> None:
         self._robot, self._clock = None if watching else robot, clock
         self._lock = Lock()
@@ -84,17 +89,28 @@ class ZenohTransport:
         self._keys: dict[str, tuple[str, str]] = {}
         self._rates = {name: Bucket(RATE, BURST) for name in members}
         self._others = Bucket(RATE, BURST)
-        self._session = open_session(zenoh_settings(network, robot, folder, watching=watching))
-        own = f"dgorl/{team}/{robot}"
-        self._publishers: dict[str, zenoh.Publisher] = {
-            channel: self._publisher(f"{own}/{channel}") for channel in (() if watching else CHANNELS)
-        }
+        self._settings = zenoh_settings(network, robot, folder, watching=watching)
+        self._team, self._own = team, f"dgorl/{team}/{robot}"
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._session: zenoh.Session | None = None
+        if joins:
+            self.join()
+
+    def join(self) -> None:
+        """Join the network, once; until then nobody is heard and what is sent is dropped. Raises NetworkError."""
+        self._session = open_session(self._settings)
+        watching = self._robot is None
         # Called straight from the network's thread: a slow process slows its senders, who drop, and queues nowhere.
         for channel in WATCHED if watching else GOSSIPED:
-            self._session.declare_subscriber(f"dgorl/{team}/*/{channel}", Callback(self._hear, indirect=False))
+            self._session.declare_subscriber(f"dgorl/{self._team}/*/{channel}", Callback(self._hear, indirect=False))
         liveliness = self._session.liveliness()
-        liveliness.declare_subscriber(f"dgorl/{team}/*/alive", Callback(self._notice, indirect=False), history=True)
-        self._token = None if watching else liveliness.declare_token(f"{own}/alive")
+        everybody = f"dgorl/{self._team}/*/alive"
+        liveliness.declare_subscriber(everybody, Callback(self._notice, indirect=False), history=True)
+        self._token = None if watching else liveliness.declare_token(f"{self._own}/alive")
+        self._publishers = {
+            channel: self._publisher(self._session, f"{self._own}/{channel}")
+            for channel in (() if watching else CHANNELS)
+        }
 
     def send(self, channel: str, payload: bytes) -> None:
         """To all who hear; dropped under congestion by Zenoh, unseen here, or counted when there is no network.
@@ -143,12 +159,15 @@ class ZenohTransport:
 
     def close(self) -> None:
         """Leave the network; what is sent afterwards is dropped and counted."""
-        if not self._session.is_closed():
+        if self._session is not None and not self._session.is_closed():
             self._publishers = {}
-            self._session.close()  # type: ignore[no-untyped-call]
+            # With links that are broken it takes 10 s and fails; the others notice by their lease that we are gone.
+            closing = Thread(target=_close, args=(self._session,), daemon=True)
+            closing.start()
+            closing.join(CLOSING)
 
-    def _publisher(self, key: str) -> zenoh.Publisher:
-        return self._session.declare_publisher(
+    def _publisher(self, session: zenoh.Session, key: str) -> zenoh.Publisher:
+        return session.declare_publisher(
             key, congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE
         )
 
@@ -205,6 +224,11 @@ class ZenohTransport:
                 known.discard(robot)
             elif robot in self._rates or len(known) < PRESENT:
                 known.add(robot)
+
+
+def _close(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):
+        session.close()  # type: ignore[no-untyped-call]
 
 
 def _named(key: str) -> tuple[str, str]:
