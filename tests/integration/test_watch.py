@@ -168,6 +168,42 @@ def test_who_left_is_named(lab: type) -> None:
     assert problem.startswith("r2 has left the network; it was heard ")
 
 
+@pytest.mark.parametrize("gone", [False, True], ids=["its token stays", "its token goes"])
+def test_the_rows_of_a_robot_that_died_are_grey_within_five_seconds(lab: type, gone: bool) -> None:
+    team = started(lab(), *ROBOTS)
+    assert grey_rows(team) == set()
+    dead = team.agents.pop("r2")
+    if gone:
+        dead.transport.close()
+    team.run(4.9)
+    assert grey_rows(team) == {("r1", "r2"), ("r2", "r1"), ("r2", "r3"), ("r3", "r2")}
+    plain = shown(team, "").lower()
+    assert "2 of 3 robots are heard" in plain
+    assert ("r2: left the network, heard" if gone else "r2: says nothing, heard") in plain
+    dead.close()
+
+
+def shown(team: Team, color_system: str) -> str:
+    """The monitor's table, with a terminal's colours if they are named."""
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=120, color_system=color_system or None)
+    console.print(tables(team.state(), None))
+    return out.getvalue()
+
+
+def grey_rows(team: Team) -> set[tuple[str, str]]:
+    """(robot, peer) of the rows that are grey."""
+    grey, robot = set(), ""
+    for plain, colored in zip(shown(team, "").splitlines(), shown(team, "standard").splitlines(), strict=True):
+        cells = plain.split()
+        robot = cells[0] if plain[:1] == "r" and cells[0] in ROBOTS else robot
+        peer = next((cell for cell in cells[0 if plain[:1] == " " else 1 :] if cell in ROBOTS), None)
+        if peer and "\x1b[90m" in colored:
+            assert "\x1b[3" not in colored, "no status stands out of it"
+            grey.add((robot, peer))
+    return grey
+
+
 def test_nobody(lab: type) -> None:
     team = lab()
     team.run(1.0)

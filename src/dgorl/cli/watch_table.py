@@ -16,7 +16,8 @@ from dgorl.cli.terminal import words
 
 COLORS = {"tracked": "green", "position": "cyan", "unobservable": "yellow", "ambiguous": "magenta", "isolated": "red"}
 STALE = 3.0
-"""What was said longer ago than this [s] is shown faint."""
+"""What was said, or measured of a peer, longer ago than this [s] is shown grey."""
+GREY = "bright_black"
 COLUMNS = (
     "clock\n[s]", "sent\n[B/s]", "peer", "status", "x\n[m]", "y\n[m]", "θ\n[°]", "1σ\n[m]", "1σ\n[°]", "age\n[s]",
     "loss\n[%]",
@@ -60,6 +61,8 @@ def remarks(state: Mapping[str, Any]) -> list[str]:
             what.append("on the network, nothing heard yet" if robot["present"] else "not on the network")
         elif not robot["present"]:
             what.append(f"left the network, heard {robot['heard_s_ago']:.0f} s ago")
+        elif not _speaks(robot):
+            what.append(f"says nothing, heard {robot['heard_s_ago']:.0f} s ago")
         rejected = ", ".join(f"{count} × {reason}" for reason, count in robot["rejected_here"].items())
         if rejected:
             what.append(f"not believed: {rejected}")
@@ -73,24 +76,30 @@ def remarks(state: Mapping[str, Any]) -> list[str]:
 
 
 def _heard(robots: Mapping[str, Any]) -> str:
-    heard = sum(robot["says"] is not None and robot["present"] for robot in robots.values())
+    heard = sum(robot["present"] and _speaks(robot) for robot in robots.values())
     if not heard:
         return "nobody is heard; `dgorl doctor --team FILE` looks for the reason"
     return f"{heard} of {len(robots)} robots are heard"
 
 
+def _speaks(robot: Mapping[str, Any]) -> bool:
+    """Whether it told how it fares, lately."""
+    return robot["says"] is not None and robot["says"]["s_ago"] < STALE
+
+
 def _add(table: Table, name: str, robot: Mapping[str, Any]) -> None:
     says = robot["says"]
-    faint = "" if says["s_ago"] < STALE else "dim"
+    silent = says["s_ago"] >= STALE
     head = name, _clock(robot["clock"]), _number(says["sent_bytes_per_s"], 0)
     if not says["peers"]:
-        table.add_row(*head, "nobody", style=faint)
+        table.add_row(*head, "nobody", style=GREY if silent else "")
     for peer, seen in says["peers"].items():
         x, y, theta = seen["pose"] or (None, None, None)
+        stale = silent or (seen["age_s"] or 0.0) >= STALE
         table.add_row(
             *head,
             words(peer),
-            words(seen["status"], style=COLORS.get(seen["status"], "")),
+            words(seen["status"], style="" if stale else COLORS.get(seen["status"], "")),
             _number(x, 1),
             _number(y, 1),
             _number(None if theta is None else degrees(theta), 0),
@@ -98,7 +107,7 @@ def _add(table: Table, name: str, robot: Mapping[str, Any]) -> None:
             _number(seen["heading_sigma_deg"], 0),
             _number(seen["age_s"], 1),
             _number(100 * says["loss"][peer] if peer in says["loss"] else None, 0),
-            style=faint,
+            style=GREY if stale else "",
         )
         head = "", "", ""
 
