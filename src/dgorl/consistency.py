@@ -28,6 +28,9 @@ from dgorl.window import Window
 INTERVALS = (5.0, 10.0)
 """Between these ages of theirs [s] at the node, the odometry steps bent most are tested."""
 
+BENT = 30.0
+"""Who is placed anew has to fit without being bent over this last time [s], or since it is placed."""
+
 TAIL = 1e-4
 """By chance, one node in this many finds somebody: it is shared among all that a node looks at."""
 
@@ -94,8 +97,14 @@ def unfit(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKe
     """Members of the bodies that no place of theirs explains, one body after another, without those before it.
 
     bodies: the members of each component, in itself settled: readings of the last 5 s between them count. Of two that
-    do not fit one another, it is the smaller one.
+    do not fit one another, it is the smaller one. Besides, single tracks that fit only as they are bent.
     """
+    bent = _bent(window, poses, g, bodies)
+    return bent | _misfits(window, poses, g, bodies)
+
+
+def _misfits(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKey, ...]]) -> frozenset[TrackKey]:
+    """Members of the bodies whose readings of the last 5 s are off."""
     body = np.array([next(k for k, keys in enumerate(bodies) if key in keys) for key in window.layout])
     i, j, square = recent_squares(window, poses, g)
     i, j = body[i], body[j]
@@ -111,6 +120,30 @@ def unfit(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKe
             return gone
         gone |= set(bodies[worst])
         between = (i != worst) & (j != worst)
+
+
+def _bent(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKey, ...]]) -> frozenset[TrackKey]:
+    """Single tracks whose odometry of the last 30 s the readings bend more than its noise explains.
+
+    A robot that is yet to be joined can have any place, so that odometry that is not its own, or not of this time, may
+    fit for a while: bent all along, with no step that stands out.
+    """
+    i, j, delta, information = window.problem.odometry
+    u = se2.between(delta, se2.between(poses[i], poses[j]))
+    strain = np.zeros(len(poses))
+    strain[i] = np.einsum("ka,kab,kb->k", u, information, u)
+    tail = TAIL / len(bodies)
+    since = int(np.floor((g - BENT) * KEYFRAMES_PER_SECOND))
+    found = set()
+    for key in (keys[0] for keys in bodies if len(keys) == 1 and keys[0] in window.layout):
+        offset, first, count = window.layout[key]
+        at = np.arange(offset + max(since - first, 0), offset + count - 1)
+        excess = float(strain[at].sum()) / _spread(window, poses) if len(at) else 0.0
+        if excess <= chi2_limit(1.0, tail):  # the least limit: covariances cost more
+            continue
+        if excess > chi2_limit(max(bend(window.problem, poses, at)[1], 1.0), tail):
+            found.add(key)
+    return frozenset(found)
 
 
 class _Readings(NamedTuple):
@@ -191,6 +224,25 @@ def drop(problem: Problem, poses: Array, at: Indices) -> tuple[Array, NDArray[np
 
     poses (N, 3): the optimum. Also k (K,): in how many directions the rest of the problem determines the step.
     """
+    share, part, inexact = _freedom(problem, poses, at)
+    told = share > inexact[:, None]
+    return np.sum(part**2 / np.where(told, share, np.inf), axis=1), told.sum(axis=1)
+
+
+def bend(problem: Problem, poses: Array, at: Indices) -> tuple[float, float]:
+    """S = Σ uᵀQ⁻¹u of the odometry steps from poses at[k] to the next, and its expectation, the sum of their shares.
+
+    It is a sum of χ²(1), each times a share of at most 1, and thus seldomer large than χ² of as many degrees.
+    """
+    share, part, _ = _freedom(problem, poses, at)
+    return float(np.sum(part**2)), float(share.sum())
+
+
+def _freedom(problem: Problem, poses: Array, at: Indices) -> tuple[Array, Array, Array]:
+    """Of each odometry step the eigenvalues of I − C (K, 3), its residual along their vectors (K, 3), their error (K,).
+
+    All in units of Q: an eigenvalue is the share of what is known in that direction that is not the step's own.
+    """
     begin, _, delta, information = problem.odometry
     step = np.searchsorted(begin, at)  # every pose but a track's last begins one step, in order
     count = len(at)
@@ -210,8 +262,7 @@ def drop(problem: Problem, poses: Array, at: Indices) -> tuple[Array, NDArray[np
     left = np.eye(3) - (first + second - cross - cross.swapaxes(1, 2))
     share, vectors = np.linalg.eigh((left + left.swapaxes(1, 2)) / 2)
     part = (vectors.swapaxes(1, 2) @ np.linalg.solve(root, u[..., None]))[..., 0]
-    told = share > _inexact(first, second, root, len(poses))[:, None]
-    return np.sum(part**2 / np.where(told, share, np.inf), axis=1), told.sum(axis=1)
+    return share, part, _inexact(first, second, root, len(poses))
 
 
 def _inexact(first: Array, second: Array, root: Array, size: int) -> Array:

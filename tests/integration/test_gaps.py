@@ -100,3 +100,21 @@ def test_nothing_of_a_gap_is_left_when_late_rows_fill_it() -> None:
     assert arriving(log.measurements, late, log, stamps) == arriving(log.measurements, punctual, log, stamps)
     during = [26.0]
     assert arriving(log.measurements, late, log, during) != arriving(log.measurements, punctual, log, during)
+
+
+@pytest.mark.parametrize(("step", "seed"), [(4.0, 8), (3.0, 10)])
+def test_a_clock_that_steps_inside_a_log_is_not_believed(step: float, seed: int) -> None:
+    """Odometry of another time than the ranges: it fits for a while, but only as it is bent."""
+    log = wandering(HOMES[:3], 70, seed=seed)
+    stepped = tuple(
+        replace(m, start=m.start + step, end=m.end + step)
+        if isinstance(m, Displacement) and m.robot == "r2" and m.start >= 25.0
+        else m
+        for m in log.measurements
+    )
+    stamps = every(0.5, 69)
+    for ego in ("r1", "r2"):
+        estimates = watched(replace(log, measurements=stepped), stamps, ego)
+        never_wrong(log, estimates)
+        honest = watched(log, stamps, ego)
+        assert sum(e["r3"].status in KNOWN for e in honest) > 90

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from dgorl import se2
-from dgorl.consistency import Suspect, chi2_limit, drop
+from dgorl.consistency import Suspect, bend, chi2_limit, drop
 from dgorl.optimization import native
 from dgorl.optimization.problem import Loss, Problem, Scalars
 from dgorl.tracks import TrackKey
@@ -114,6 +114,23 @@ def test_t_is_chi_squared() -> None:
     assert np.mean(found) == pytest.approx(3.0, rel=0.2)
     assert np.mean(found > chi2.isf(0.1, 3)) == pytest.approx(0.1, abs=0.05)
     assert np.mean(found > chi2.isf(0.01, 3)) < 0.03
+
+
+def test_how_far_readings_bend_a_track_is_foreseen() -> None:
+    found = np.array([bend(p, p.initial, p.odometry[0]) for p in map(anchored, range(300))])
+    assert found[:, 0].mean() == pytest.approx(found[:, 1].mean(), rel=0.1)
+    assert np.mean([s > chi2_limit(d, 1e-2) for s, d in found]) < 0.02
+
+
+def test_odometry_of_another_time_is_bent_beyond_its_noise() -> None:
+    """Three steps late, on the best place that fits."""
+    for seed in range(10):
+        p = anchored(seed, 24)
+        i, j, delta, information = p.odometry
+        late = replace(p, odometry=(i, j, np.roll(delta, 3, axis=0), information))
+        poses = native.solve(late, np.zeros(0, np.int64), 1e-9).poses
+        s, d = bend(late, poses, i)
+        assert s > 1.5 * chi2_limit(d, 1e-4)
 
 
 def test_what_is_rounding_counts_in_no_direction() -> None:
