@@ -14,12 +14,13 @@ from dgorl.replay import start_priors
 from dgorl.team.agent import Agent
 from dgorl.team.bundler import Bundler
 from dgorl.team.faults import Faults, Faulty
-from dgorl.team.gossip import Gossip, Outgoing
+from dgorl.team.gossip import Gossip
 from dgorl.team.journal import LIMIT, Journal
 from dgorl.team.keys import Key, generate
 from dgorl.team.memory import Air
 from dgorl.team.report import Report
 from dgorl.team.team_file import TeamFile
+from dgorl.team.voice import Outgoing
 from dgorl.team.wire import seal
 
 STEP = 0.1

@@ -10,16 +10,27 @@ from dgorl.measurements import Odometry, Rssi
 from dgorl.team.bundler import Bundler
 from dgorl.team.bundles import Name, Sealed
 from dgorl.team.faults import Faults, Faulty
-from dgorl.team.gossip import Gossip, Outgoing
+from dgorl.team.gossip import Gossip
 from dgorl.team.keys import UNSIGNED, Key, Roster, Signer, generate
 from dgorl.team.memory import Air, MemoryTransport
 from dgorl.team.transport import Received
+from dgorl.team.voice import Outgoing
 from dgorl.team.wire import seal
 
 TEAM = "test"
 CONFIGURATION = b"8 bytes."
 PERIOD = 0.5
 STEP = 0.05
+
+
+@dataclass(frozen=True)
+class Disk:
+    """What a robot's disk held at one time. made: the first number of its epoch that was not used."""
+
+    epoch: int
+    journal: dict[Name, Sealed]
+    admitted: list[tuple[str, int]]
+    made: int
 
 
 @dataclass
@@ -36,6 +47,17 @@ class Robot:
     journal: dict[Name, Sealed] = field(default_factory=dict)
     admitted: list[tuple[str, int]] = field(default_factory=list)
     arrivals: dict[Name, float] = field(default_factory=dict)
+    endings: list[str] = field(default_factory=list)
+    """why each of its epochs ended of itself"""
+
+    @property
+    def made(self) -> int:
+        """The first number of its epoch that it has not used."""
+        return self.bundler.sequence
+
+    def disk(self) -> Disk:
+        """A copy of its disk as it is now."""
+        return Disk(self.epoch, dict(self.journal), list(self.admitted), self.made)
 
     @property
     def known(self) -> set[Name]:
@@ -58,6 +80,8 @@ class Network:
         self.random = Random(seed)
         self.history = history
         self.robots: dict[str, Robot] = {}
+        self.twins: dict[str, Robot] = {}
+        """other machines that run under a robot's name"""
         self.quiet = False
         self.taps: list[Callable[[str, Outgoing], None]] = []
         self._steps = 0
@@ -66,27 +90,50 @@ class Network:
     def now(self) -> float:
         return self.air.now
 
-    def start(self, *names: str, journal: Robot | None = None, clock: Callable[[float], float] = float) -> None:
-        """Robots begin, with the journal of an earlier life if there is one."""
+    def start(self, *names: str, journal: Robot | Disk | None = None, clock: Callable[[float], float] = float) -> None:
+        """Robots begin, with the journal of an earlier life if there is one; it is copied, not changed."""
         for name in names:
             epoch = journal.epoch if journal else self.random.getrandbits(64)
-            signer = self.keys.get(name, UNSIGNED)
-            gossip = Gossip(name, epoch, self.roster, signer, CONFIGURATION, history=self.history)
             air = self.air.transport(name, clock)
             faulty = Faulty(air, name, self.faults, lambda: self.air.now)
-            own = [n.sequence for n in journal.journal if (n.robot, n.epoch) == (name, epoch)] if journal else []
-            bundler = Bundler(TEAM, name, epoch, sequence=max(own, default=-1) + 1)
-            robot = Robot(name, epoch, gossip, bundler, signer, air, faulty)
-            if journal:
-                robot.journal, robot.admitted = dict(journal.journal), list(journal.admitted)
-                gossip.restore(list(robot.journal.values()), robot.admitted, self.air.now)
-            self.robots[name] = robot
+            disk = (dict(journal.journal), list(journal.admitted)) if journal else ({}, [])
+            made = journal.made if journal else 0
+            self.robots[name] = self._life(name, epoch, air, faulty, made, *disk)
 
-    def stop(self, name: str) -> Robot:
-        """A robot is gone from one moment to the next; what was on its disk."""
-        robot = self.robots.pop(name)
+    def _life(
+        self,
+        name: str,
+        epoch: int,
+        air: MemoryTransport,
+        faulty: Faulty,
+        made: int,
+        known: dict[Name, Sealed],
+        admitted: list[tuple[str, int]],
+        before: Gossip | None = None,
+    ) -> Robot:
+        """A robot in an epoch, from what its disk holds."""
+        signer = self.keys.get(name, UNSIGNED)
+        own = [sealed.bundle for one, sealed in known.items() if (one.robot, one.epoch) == (name, epoch)]
+        made = max([made, *(bundle.sequence + 1 for bundle in own)])
+        born = min((bundle.cut for bundle in own), default=air.local(self.air.now))
+        gossip = Gossip(
+            name, epoch, self.roster, signer, CONFIGURATION, history=self.history, born=born, made=made, before=before
+        )
+        gossip.restore(list(known.values()), admitted, air.local(self.air.now))
+        bundler = Bundler(TEAM, name, epoch, sequence=made)
+        return Robot(name, epoch, gossip, bundler, signer, air, faulty, known, admitted)
+
+    def stop(self, name: str, *, twin: bool = False) -> Robot:
+        """A robot, or its twin, is gone from one moment to the next; what was on its disk."""
+        robot = (self.twins if twin else self.robots).pop(name)
         robot.network.close()
         return robot
+
+    def start_twin(self, name: str, journal: Robot | Disk | None = None) -> None:
+        """A second machine begins under a robot's name."""
+        robot = self.robots.pop(name)
+        self.start(name, journal=journal)
+        self.twins[name], self.robots[name] = self.robots[name], robot
 
     def change(self, faults: Faults) -> None:
         """The network is another from now on."""
@@ -99,7 +146,7 @@ class Network:
         for _ in range(round(seconds / STEP)):
             self._steps += 1
             self.air.now = self._steps * STEP
-            for robot in self.robots.values():
+            for robot in [*self.robots.values(), *self.twins.values()]:
                 self._step(robot)
 
     def _step(self, robot: Robot) -> None:
@@ -112,6 +159,17 @@ class Network:
                 self._take(robot, [sealed])
                 self.send(robot, robot.gossip.publish(sealed, now))
         self.send(robot, robot.gossip.tick(now))
+        if why := robot.gossip.witness.ended(now):
+            epoch = self.random.getrandbits(64)
+            disk = robot.journal, robot.admitted
+            new = self._life(robot.name, epoch, robot.air, robot.network, 0, *disk, before=robot.gossip)
+            new.endings = [*robot.endings, why]
+            self._lives(new, robot)
+
+    def _lives(self, robot: Robot, instead: Robot) -> None:
+        for where in (self.robots, self.twins):
+            if where.get(robot.name) is instead:
+                where[robot.name] = robot
 
     def deliver(self, robot: Robot, message: Received) -> None:
         """A message reaches a robot."""
@@ -123,7 +181,7 @@ class Network:
 
     def _take(self, robot: Robot, sealed: Iterable[Sealed]) -> None:
         for one in sealed:
-            assert one.bundle.name not in robot.journal, "a bundle is new once"
+            assert robot.journal.get(one.bundle.name, one) == one, "the first contents of a name count"
             robot.journal[one.bundle.name] = one
             robot.arrivals[one.bundle.name] = self.air.now
 

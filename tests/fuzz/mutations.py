@@ -15,7 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
 
-from dgorl.team.gossip import Outgoing, Reaction
+from dgorl.team.gossip import Reaction
+from dgorl.team.voice import Outgoing
 
 from ..team_network import Network, Robot
 

@@ -12,12 +12,14 @@ from dgorl.team.admission import Admission
 from dgorl.team.bundles import Bundle, Name, Sealed
 from dgorl.team.circle import Circle
 from dgorl.team.envelope import Reason, Rejected
-from dgorl.team.gossip import CHUNK, Gossip, Outgoing, Reaction
+from dgorl.team.gate import UNTOLD
+from dgorl.team.gossip import CHUNK, Gossip, Reaction
 from dgorl.team.keys import UNSIGNED, Roster
 from dgorl.team.library import Library
 from dgorl.team.messages import CHANNEL, MOST_INFLATED, Bundles, Digest, Message, Requests, packed, read, write
 from dgorl.team.outbox import BYTES_PER_SECOND
 from dgorl.team.push import NOBODY, Lackers, Pushes
+from dgorl.team.voice import Outgoing
 from dgorl.team.wire import LIMITS, open_sealed, seal
 
 CONFIGURATION = b"12345678"
@@ -290,7 +292,9 @@ def test_an_earlier_epoch_counts_no_more() -> None:
     assert reaction.admitted == (("r2", later),)
     assert reaction.new == (sealed,)
     old = Digest("t", "r2", EPOCH["r2"], team.now + 1, 0, CONFIGURATION, [], [])
-    assert _receive(machine, old, team.now) == Reaction()
+    (shown,) = _receive(machine, old, team.now).send
+    told = read("bundles", shown.payload, "r1", ROSTER, CONFIGURATION, LIMITS.message).message
+    assert told.bundles() == [sealed.data], "it is shown what it signed since"
     assert machine.rejected == {Reason.EPOCH: 1}
 
 
@@ -305,8 +309,8 @@ def test_a_restored_machine_goes_on() -> None:
     again = Gossip("r1", EPOCH["r1"], ROSTER, UNSIGNED, CONFIGURATION)
     again.restore(order, [], team.now)
     assert again.holds() == team.machines["r1"].holds()
-    assert again.next_sequence == team.machines["r1"].next_sequence == 10
     team.machines["r1"] = again
+    team.now += UNTOLD
     team.sent.clear()
     team.run(3.0, publish=True)
     assert not team.of(Requests)

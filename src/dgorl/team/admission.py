@@ -12,6 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 
 from dgorl.team.bundles import Bundle, Sealed
+from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.messages import Key
 from dgorl.team.ranges import Ranges
 
@@ -63,6 +64,8 @@ class Admission:
         self.own = own
         self.epochs: dict[str, list[int]] = {own[0]: [own[1]]}
         self.candidates: dict[str, OrderedDict[int, Candidate]] = {}
+        self.distrusted: OrderedDict[Key, tuple[bytes, bytes]] = OrderedDict()
+        """epochs whose robot signed two contents where one can be: the two"""
         self._fresh = fresh
         self._told: dict[Key, OrderedDict[Key, float]] = {}
 
@@ -75,6 +78,21 @@ class Admission:
         """Whether bundles of this epoch count."""
         return key[1] in self.epochs.get(key[0], ())
 
+    def check(self, key: Key) -> None:
+        """Whether what is signed by an epoch counts, or may once it is admitted. Raises Rejected."""
+        if key in self.distrusted:
+            raise Rejected(Reason.CONFLICT, f"{key[0]} signed two contents under one name in this epoch", key[0])
+        if self.admitted(key) and self.current(key[0]) != key[1]:
+            raise Rejected(Reason.EPOCH, "an earlier one")
+
+    def distrust(self, key: Key, signed: tuple[bytes, bytes]) -> None:
+        """Nothing of this epoch counts from now on: its robot signed both of these."""
+        self.distrusted.setdefault(key, signed)
+        self.candidates.get(key[0], OrderedDict[int, Candidate]()).pop(key[1], None)
+        of_robot = [other for other in self.distrusted if other[0] == key[0]]
+        if len(of_robot) > CANDIDATES:
+            del self.distrusted[of_robot[0]]
+
     def admit(self, key: Key) -> int | None:
         """Let an epoch in; the robot's epoch that is forgotten for it, if any."""
         epochs = self.epochs.setdefault(key[0], [])
@@ -84,6 +102,12 @@ class Admission:
             self._told.pop((key[0], forgotten), None)
         self._insert(key, epochs)
         return forgotten
+
+    def prefer(self, key: Key) -> None:
+        """The robot lives in this admitted epoch, whatever was thought."""
+        epochs = self.epochs[key[0]]
+        epochs.remove(key[1])
+        epochs.append(key[1])
 
     def candidate(self, key: Key) -> Candidate:
         """The waiting epoch; the one not heard of for longest makes way for a new one."""

@@ -16,7 +16,7 @@ from dgorl.team.bundler import Bundler, Step
 from dgorl.team.bundles import Sealed
 from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.estimator import Estimator
-from dgorl.team.gossip import Gossip, Outgoing, Reaction
+from dgorl.team.gossip import Gossip, Reaction
 from dgorl.team.intake import Moved, read_line
 from dgorl.team.journal import Journal
 from dgorl.team.journal_schema import JournalError
@@ -25,6 +25,7 @@ from dgorl.team.rejections import Rejection
 from dgorl.team.report import Carried, Complaint, Report
 from dgorl.team.team_file import TeamFile
 from dgorl.team.transport import BULLETINS, Transport
+from dgorl.team.voice import Outgoing
 from dgorl.team.wall import Failure
 from dgorl.team.wire import open_sealed, seal
 
@@ -59,24 +60,33 @@ class Agent:
         self.troubles: deque[str] = deque(maxlen=100)
         """What went wrong and a person should hear of; taken out by who logs it."""
         self.remarks: deque[tuple[str, dict[str, object]]] = deque(maxlen=100)
-        """... of the robot's own sensors: the event and more about it."""
+        """... of the robot's own sensors and epochs: the event and more about it."""
         self._told_until = -inf
-        configuration = team.configuration
         self._signer, self._wire_bytes = signer, wire_bytes
-        self._estimator = Estimator((robot, journal.epoch), team, journal, self._opened, self._trouble)
-        self._gossip = Gossip(
-            robot, journal.epoch, team.roster, signer, team.configuration_hash, history=configuration.history
-        )
-        self._bulletins = Bulletins(team.team, robot, journal.epoch, team.configuration_hash, signer)
         self._rejected: Counter[str] = Counter()
-        self._unsent: deque[Sealed] = deque()
         self._bundles = 0
-        self._tick = floor(now / configuration.period)
+        self._tick = floor(now / team.configuration.period)
+        self._begin(now, None)
+
+    def _begin(self, now: float, before: Gossip | None) -> None:
+        """The journal's epoch begins, or goes on; before: the gossip of one that just ended."""
+        team, journal, key = self.team, self.journal, (self.robot, self.journal.epoch)
+        self._estimator = Estimator(key, team, journal, self._opened, self._trouble)
+        self._gossip = Gossip(
+            *key,
+            team.roster,
+            self._signer,
+            team.configuration_hash,
+            history=team.configuration.history,
+            born=now if journal.born is None else journal.born,
+            made=journal.next_sequence,
+            before=before,
+        )
+        self._bulletins = Bulletins(team.team, *key, team.configuration_hash, self._signer)
+        self._unsent: deque[Sealed] = deque()
         self._estimating: float | None = None
         track = self._remember(now)
-        self._bundler = Bundler(
-            team.team, robot, journal.epoch, sequence=journal.next_sequence, track=track, substep=team.substep
-        )
+        self._bundler = Bundler(team.team, *key, sequence=journal.next_sequence, track=track, substep=team.substep)
 
     def take_line(self, line: bytes, now: float, ahead: float = 0.0) -> Complaint | None:
         """Take a measurement of the robot's own as a JSON line (:mod:`dgorl.team.intake`); the answer to a bad one.
@@ -165,11 +175,25 @@ class Agent:
         for message in self.transport.poll():
             self._react(self._gossip.receive(message.channel, message.sender, message.payload, message.at))
         self._send(self._gossip.tick(now))
+        if why := self._gossip.witness.ended(now):
+            self._renew(why, now)
+
+    def _renew(self, why: str, now: float) -> None:
+        """A new epoch begins, as after a restart; what was measured and not sent yet belongs to it."""
+        ended, waiting = self.journal.epoch, self.waiting()
+        try:
+            self.journal.renew()
+        except JournalError as error:
+            self._trouble(error)
+            return
+        self._rejected += self._estimator.rejected + self._bundler.dropped
+        self._begin(now, self._gossip)
+        self.take_all(waiting)
+        fields: dict[str, object] = {"why": why, "ended": f"{ended:016x}", "epoch": f"{self.journal.epoch:016x}"}
+        self.remarks.append(("this robot's epoch has ended: a new one begins", fields))
 
     def publish(self, until: float, now: float) -> None:
         """Cut what is known at ``until`` [s], commit it and tell the others; what the disk refuses waits."""
-        # Own bundles that a damaged journal lost may be out there still: their numbers are taken.
-        self._bundler.sequence = max(self._bundler.sequence, self._gossip.next_sequence)
         for bundle in self._bundler.cut(until):
             self._unsent.append(seal(bundle, self._signer))
         while self._unsent and self._unsent[0].bundle.cut < until - self.team.configuration.history:

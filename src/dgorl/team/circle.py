@@ -56,6 +56,18 @@ class Circle:
         """Neighbours that hold a bundle."""
         return sorted(robot for robot, n in self.live(now).items() if n.has(name))
 
+    def relays(self, name: Name, sender: str, robot: str, now: float) -> bool:
+        """Whether it is ``robot``'s turn to pass on what came from ``sender``, for a neighbour that may lack it."""
+        live = self.live(now)
+        for other, neighbour in live.items():
+            if other in (sender, name.robot) or sender in neighbour.hears or neighbour.has(name):
+                continue
+            able = [r for r, n in live.items() if r in neighbour.hears and (sender in n.hears or r == sender)]
+            able = sorted({*able, robot} if robot in neighbour.hears else able)
+            if able and able[name.sequence % len(able)] == robot:
+                return True
+        return False
+
     def losses(self, now: float) -> dict[str, float]:
         """Which share of each neighbour's messages does not arrive."""
         return {robot: n.losses.share for robot, n in self.live(now).items()}

@@ -42,7 +42,8 @@ WRONG = {
     Reason.RATE: "somebody sends more than any robot does",
     Reason.TOO_LARGE: "somebody sends what no robot does",
     Reason.MALFORMED: "somebody sends what no robot does",
-    Reason.CONFLICT: "two machines run with copies of one journal: delete one's journal",
+    Reason.CONFLICT: "two machines run with copies of one journal, or a copy was put back: it begins anew by itself",
+    Reason.ENDED: "another machine runs under its name, or did: it begins a new epoch once that one is silent",
     "bad line": "its sensors write lines it cannot read; its log says which",
     "journal": "its disk refuses to write; its log says why",
 }
@@ -193,8 +194,9 @@ def _says(seen: Seen, team: Collection[str]) -> Iterator[Finding]:
     for reason, count in bulletin.rejected.items():
         grown = count - before[reason]
         what = f"{seen.robot} rejected {count} since it began, {grown} while listening: {reason}"
-        if grown > 0 and reason in WRONG:
-            yield problem(AREA, what, WRONG[reason])
+        meaning = WRONG.get(reason.partition(": ")[0])  # some name the robot
+        if grown > 0 and meaning is not None:
+            yield problem(AREA, what, meaning)
         else:
             yield note(AREA, what)
     lossy = [f"{robot} {100 * share:.0f} %" for robot, share in bulletin.losses.items() if share > LOSSY]

@@ -38,13 +38,15 @@ class Reason(StrEnum):
     REPLAYED = "replayed"
     EPOCH = "epoch not live"
     CONFLICT = "two of one name"
+    ENDED = "own epoch has ended"
 
 
 class Rejected(DgorlError):
-    """Bytes that are not taken. ``reason`` is counted, the text says more."""
+    """Bytes that are not taken. ``counted`` is the reason, with the ``robot`` if one has to be named."""
 
-    def __init__(self, reason: Reason, detail: str = "") -> None:
+    def __init__(self, reason: Reason, detail: str = "", robot: str = "") -> None:
         self.reason = reason
+        self.counted = f"{reason}: {robot}" if robot else str(reason)
         super().__init__(f"{reason}: {detail}" if detail else str(reason))
 
 

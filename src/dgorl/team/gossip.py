@@ -14,28 +14,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from math import log
+from math import inf, log
 from random import Random
 from typing import NamedTuple
 
 from dgorl.measurements import ClockReading
 from dgorl.team.bundles import Name, Sealed
 from dgorl.team.circle import Circle
-from dgorl.team.envelope import Rejected
+from dgorl.team.envelope import Reason, Rejected
 from dgorl.team.gate import Gate
 from dgorl.team.keys import Roster, Signer
 from dgorl.team.library import Library
-from dgorl.team.messages import Bundles, Digest, Key, Message, Requests, flat, packed, unflat, write
+from dgorl.team.messages import Bundles, Digest, Key, Message, Requests, flat, packed, unflat
 from dgorl.team.outbox import Outbox
 from dgorl.team.push import AT_ONCE as PUSHED_AT_ONCE
 from dgorl.team.push import Pushes
 from dgorl.team.ranges import Ranges
-from dgorl.team.rates import Losses
 from dgorl.team.rejections import Rejections
-from dgorl.team.shelf import COUNT
-from dgorl.team.transport import Channel
+from dgorl.team.voice import Outgoing, Voice
 from dgorl.team.wants import AT_ONCE, Wants
-from dgorl.team.wire import LIMITS, Limits, short
+from dgorl.team.wire import LIMITS, Limits
+from dgorl.team.witness import Witness
 
 CHUNK = 12_000
 """Bundles go together in messages of about this size [bytes]."""
@@ -72,13 +71,6 @@ PUSHED_DIGESTS = 0.15
 """Time between digests while bundles are pushed [s]."""
 
 
-class Outgoing(NamedTuple):
-    """A message to all who hear."""
-
-    channel: Channel
-    payload: bytes
-
-
 class Reaction(NamedTuple):
     """What came of a message: bundles not known before, answers, clock readings, epochs admitted by it."""
 
@@ -101,21 +93,30 @@ class Gossip:
         *,
         history: float = 180.0,
         limits: Limits = LIMITS,
+        born: float = inf,
+        made: int = 0,
+        before: Gossip | None = None,
     ) -> None:
-        """configuration: 8 bytes, hash of what all must have in common. history: how far back peers catch up [s]."""
+        """configuration: 8 bytes, hash of what all must have in common. history: how far back peers catch up [s].
+
+        born, made: of its epoch, see Witness. before: the robot's part in the epoch before, in the same program.
+        """
         self.robot, self.epoch = robot, epoch
-        self.rejected = Rejections()
-        self.counts: Counter[str] = Counter()
-        self._roster, self._signer, self._configuration = roster, signer, configuration
-        self._gate = Gate(robot, roster, configuration, limits)
-        self._library = Library((robot, epoch), roster, history, limits)
+        self.rejected: Rejections = Rejections() if before is None else before.rejected
+        self.counts: Counter[str] = Counter() if before is None else before.counts
+        self._roster = roster
+        self._voice = Voice((robot, epoch), roster, signer, configuration)
+        self._gate: Gate = Gate(robot, roster, configuration, limits) if before is None else before._gate
+        self.witness: Witness = Witness() if before is None else before.witness
+        """what the robot's own signature proves of its epoch"""
+        self.witness.begin(born, made)
+        self._library = Library((robot, epoch), roster, history, limits, self.witness)
         self._circle, self._outbox, self._wants, self._pushes = Circle(), Outbox(), Wants(), Pushes()
         self._neighbours = self._circle.neighbours
-        self._began = float("inf")
+        self._began = inf
         self._random = Random(f"{robot}:{epoch}")
-        self._number, self._stamp = 0, -float("inf")
-        self._digest_after, self._next_digest = OFTEN, -float("inf")
-        self._next_ask, self._next_tidy = -float("inf"), -float("inf")
+        self._digest_after, self._next_digest = OFTEN, -inf
+        self._next_ask, self._next_tidy = -inf, -inf
 
     # What comes in
 
@@ -124,10 +125,14 @@ class Gossip:
         if channel == "estimate":
             return Reaction()
         try:
-            message = self._gate.open(channel, sender, payload, self._library.admission, now)
+            message = self._gate.open(channel, sender, payload, now)
         except Rejected as rejected:
             self.rejected.take(sender, rejected)
             return Reaction()
+        try:
+            self._library.admission.check(message.key)
+        except Rejected as rejected:
+            return self._refuse(message, rejected, now)
         reading = ClockReading(self.robot, self.epoch, sender, message.epoch, message.stamp, now)
         if not self._library.admission.admitted(message.key):
             return self._from_candidate(message, now)._replace(clocks=(reading,))
@@ -139,6 +144,16 @@ class Gossip:
             self.rejected.take(sender, rejected)
             reaction = Reaction()
         return reaction._replace(send=(*reaction.send, *self._due(now)), clocks=(reading,))
+
+    def _refuse(self, message: Message, rejected: Rejected, now: float) -> Reaction:
+        """A robot whose epoch does not count is shown why, unless that was an error."""
+        self.rejected.take(message.robot, rejected)
+        try:
+            if rejected.reason is Reason.EPOCH and (sealed := self._sealed(message)):
+                self._library.returned(sealed[0], message.key, now)
+        except Rejected as wrong:
+            self.rejected.take(message.robot, wrong)
+        return Reaction(send=self._voice.prove(message.robot, self._library.proof(message.robot), now))
 
     def _from_candidate(self, message: Message, now: float) -> Reaction:
         """A message of an epoch that is not admitted: only its own bundles are looked at."""
@@ -240,19 +255,9 @@ class Gossip:
         Their epochs were admitted when they came; ``admitted`` names others that were.
         """
         self._library.restore(bundles, admitted, now)
+        self._gate.restore(bundles)
 
     # What others may ask
-
-    @property
-    def next_sequence(self) -> int:
-        """The first number of the own epoch that nobody known to us holds a bundle of.
-
-        What others say they hold counts a little beyond what is here: a liar shall not use up the numbers.
-        """
-        key = self._library.own
-        last = self._library.shelves[key].had.high
-        held = [neighbour.holds[key].high for neighbour in self._neighbours.values() if key in neighbour.holds]
-        return max(last, *(high for high in held if high <= last + COUNT), -1) + 1
 
     def live(self, now: float) -> frozenset[str]:
         """The robots heard lately, by ourselves."""
@@ -272,18 +277,12 @@ class Gossip:
 
     # How
 
-    def _head(self, now: float) -> tuple[str, str, int, float, int, bytes]:
-        """A new head; of two messages made at once the second is stamped 1 µs later."""
-        self._stamp = max(now, self._stamp + 1e-6)
-        self._number = (self._number + 1) % Losses.MODULUS
-        return self._roster.team, self.robot, self.epoch, short(self._stamp), self._number, self._configuration
-
-    def _outgoing(self, channel: Channel, message: Message) -> Outgoing:
-        self.counts[f"{channel} sent"] += 1
-        payload = write(message, self._signer)
+    def _outgoing(self, message: Message) -> Outgoing:
+        said = self._voice.say(message)
+        self.counts[f"{said.channel} sent"] += 1
         if self._pushes.on:
-            self._outbox.charge(len(payload), message.stamp)
-        return Outgoing(channel, payload)
+            self._outbox.charge(len(said.payload), message.stamp)
+        return said
 
     def _copies(self, now: float) -> int:
         """How often a bundle is sent for a good chance to arrive."""
@@ -302,10 +301,12 @@ class Gossip:
         self._next_digest = now + after * (0.75 + 0.5 * self._random.random())
         self._digest_after = min(SELDOM, 2 * self._digest_after)
         holds = [(*key, flat(kept, DIGEST_INTERVALS)) for key, kept in sorted(self.holds().items())]
-        return self._outgoing("digest", Digest(*self._head(now), holds, self._circle.heard_well(now)))
+        return self._outgoing(Digest(*self._voice.head(now), holds, self._circle.heard_well(now)))
 
     def _ask(self, now: float) -> Iterable[Outgoing]:
-        self._wants.refresh(self._missing(now), now)
+        live = self._circle.live(now).values()
+        missing = [self._library.missing(neighbour.holds, CANDIDATE_BUNDLES) for neighbour in live]
+        self._wants.refresh(missing, now)
         if self._pushes.on:
             requests = self._wants.standing(lambda name: self._circle.holders(name, now), now)
         else:
@@ -315,18 +316,7 @@ class Gossip:
                 (robot, [(*key, flat(numbers, DIGEST_INTERVALS)) for key, numbers in wanted.items()])
                 for robot, wanted in requests.items()
             ]
-            yield self._outgoing("requests", Requests(*self._head(now), wants))
-
-    def _missing(self, now: float) -> list[dict[Key, Ranges]]:
-        """What each neighbour holds and is not here."""
-        return [
-            {
-                key: self._library.lacks(key, held, CANDIDATE_BUNDLES)
-                for key, held in neighbour.holds.items()
-                if key[0] in self._roster
-            }
-            for neighbour in self._circle.live(now).values()
-        ]
+            yield self._outgoing(Requests(*self._voice.head(now), wants))
 
     def _answer(self, message: Requests, now: float) -> None:
         if self._pushes.on:
@@ -349,17 +339,8 @@ class Gossip:
     def _relay(self, sealed: Sealed, sender: str, now: float) -> None:
         """Pass a new bundle on if a neighbour lacks it that does not hear the sender, and it is our turn."""
         name = sealed.bundle.name
-        if self._pushes.on:
-            return
-        live = self._circle.live(now)
-        for robot, neighbour in live.items():
-            if robot in (sender, name.robot) or sender in neighbour.hears or neighbour.has(name):
-                continue
-            able = [r for r, n in live.items() if r in neighbour.hears and (sender in n.hears or r == sender)]
-            able = sorted({*able, self.robot} if self.robot in neighbour.hears else able)
-            if able and able[name.sequence % len(able)] == self.robot:
-                self._outbox.add(name, now + GATHER, self._copies(now))
-                return
+        if not self._pushes.on and self._circle.relays(name, sender, self.robot, now):
+            self._outbox.add(name, now + GATHER, self._copies(now))
 
     def _unmet(self, now: float) -> bool:
         """Whether the robot has just begun and not heard all others yet."""
@@ -376,7 +357,7 @@ class Gossip:
             if not bundles:
                 break
             sealed = packed(list(bundles.values()))
-            out.append(self._outgoing("bundles", Bundles(*self._head(now), sealed)))
+            out.append(self._outgoing(Bundles(*self._voice.head(now), sealed)))
             self._pushes.sent(bundles, len(out[-1].payload), now)
             first = None
         return tuple(out)
@@ -400,11 +381,11 @@ class Gossip:
             if name != at_once and not self._outbox.allows(now):
                 break
             if chunk and sum(map(len, chunk)) + len(data) > CHUNK:
-                out.append(self._outgoing("bundles", Bundles(*self._head(now), chunk)))
+                out.append(self._outgoing(Bundles(*self._voice.head(now), chunk)))
                 chunk = []
             chunk.append(data)
             shelf.mark_sent(name.sequence, now)
             self._outbox.sent(name, len(data), now)
         if chunk:
-            out.append(self._outgoing("bundles", Bundles(*self._head(now), chunk)))
+            out.append(self._outgoing(Bundles(*self._voice.head(now), chunk)))
         return tuple(out)

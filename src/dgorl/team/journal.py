@@ -12,16 +12,19 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
 from dgorl.measurements import RelativePose
 from dgorl.team.bundles import Sealed
+from dgorl.team.envelope import Rejected, unwrap
 from dgorl.team.journal_entries import Entries, Memory
 from dgorl.team.journal_file import opened
 from dgorl.team.journal_mark import Mark, State, boot
-from dgorl.team.journal_schema import JournalError, Run, hexadecimal
+from dgorl.team.journal_schema import LARGEST_BUNDLE, JournalError, Run, hexadecimal
 from dgorl.team.keys import Roster
+from dgorl.team.wire import peek
 
 LIMIT = 256 * 2**20
 """A journal takes no more room than this [bytes], unless what must be kept needs it."""
@@ -47,7 +50,8 @@ class Journal:
     epoch: 64 random bits, made when the journal is new. next_sequence: the first number no own bundle has had. known:
     signed bytes of the bundles, own and received, that came in the last ``keep`` seconds before, in the order they
     came. admitted: (robot, epoch) of those the estimate was given then. last: the last tick before [s], or None.
-    newest: number of its newest entry on the disk. notices: what a person should hear about how it was opened.
+    newest: number of its newest entry on the disk. born: cut of the epoch's first bundle [s], if there is
+    one. notices: what a person should hear about how it was opened.
     """
 
     epoch: int
@@ -56,6 +60,7 @@ class Journal:
     admitted: frozenset[tuple[str, int]]
     last: float | None
     newest: int
+    born: float | None
     notices: tuple[str, ...]
     _run: Run
 
@@ -78,6 +83,7 @@ class Journal:
             self.known, self.admitted = memory.known, memory.admitted
             notices = [f"{path}: cannot be read, set aside as {aside.name}"] if aside else []
             self.notices = (*notices, *self._resume(state, memory, roster.team, epoch))
+            self.born = self._born(roster)
         except BaseException:
             self._database.close()
             raise
@@ -164,6 +170,21 @@ class Journal:
             known, _ = self._entries.recall(since)
         return known
 
+    def renew(self) -> None:
+        """A new epoch begins; what is known stays, ``known`` and ``admitted`` as after opening.
+
+        Raises JournalError when the disk refuses: then the epoch that was goes on.
+        """
+        epoch = secrets.randbits(64)
+        self._mark.write(State(epoch, 0), force=True)  # first: a mark that fits no journal is safe
+        run = replace(self._run, epoch=epoch)
+        with self._committed("full"):
+            self._entries.set_epoch(epoch)
+            self._entries.add_run(run)
+            self.known, self.admitted = self._entries.recall(-inf if self._now is None else self._now - self._keep)
+        self._run, self.epoch, self.next_sequence, self.born = run, epoch, 0, None
+        self._write_mark(0)
+
     def close(self) -> None:
         """Write what is queued and let go of the journal. Raises JournalError when the disk refuses."""
         try:
@@ -188,7 +209,7 @@ class Journal:
             notices = [f"{self.path}: {broken}"] if broken and memory.epoch != new else []
             notices += [f"{self.path}: a new epoch begins, {hexadecimal(new)}"]
             with self._committed("full"):
-                self._database.execute("UPDATE facts SET value = ? WHERE name = 'epoch'", (hexadecimal(new),))
+                self._entries.set_epoch(new)
         else:
             self.epoch, self.next_sequence = memory.epoch, max(memory.written, state.next)
             lost = (
@@ -197,6 +218,13 @@ class Journal:
             notices = [f"{self.path}: {lost}"] if memory.written < state.next else []
         self._write_mark(self.next_sequence, force=True)
         return notices
+
+    def _born(self, roster: Roster) -> float | None:
+        first = self._entries.first(self.robot, self.epoch)
+        try:
+            return None if first is None else float(peek(unwrap(first, LARGEST_BUNDLE)[1], roster).cut)
+        except Rejected:
+            return None
 
     def _write_mark(self, following: int, *, force: bool = False) -> None:
         since = boot() if self._synchronous == "normal" else ""

@@ -45,6 +45,10 @@ class Entries:
         body = msgspec.json.encode(run)
         self._database.execute(f"INSERT INTO entries (kind, body) VALUES ({Kind.RUN}, ?)", (body,))
 
+    def set_epoch(self, epoch: int) -> None:
+        """Own bundles are of this epoch from now on."""
+        self._database.execute("UPDATE facts SET value = ? WHERE name = 'epoch'", (hexadecimal(epoch),))
+
     def add_tick(self, now: float, admitted: Sequence[Sealed]) -> None:
         """An update at ``now`` [s] after bundles were admitted."""
         body = msgspec.msgpack.encode([self.number(sealed) for sealed in admitted])
@@ -111,6 +115,15 @@ class Entries:
             else:
                 admitted.update(origins[n] for n in msgspec.msgpack.decode(body, type=list[int]) if n in origins)
         return tuple(known), frozenset(admitted)
+
+    def first(self, robot: str, epoch: int) -> bytes | None:
+        """The bundle of an epoch with the smallest number."""
+        row = self._database.execute(
+            f"SELECT body FROM entries WHERE kind = {Kind.BUNDLE} AND robot = ? AND epoch = ? "
+            "ORDER BY sequence LIMIT 1",
+            (robot, hexadecimal(epoch)),
+        ).fetchone()
+        return None if row is None else bytes(row[0])
 
     def newest(self) -> int:
         """Number of the newest entry, 0 where there is none."""

@@ -30,6 +30,7 @@ class NoJournal(Journal):
         self.path, self.robot, self._why = path, robot, why
         self.epoch, self.next_sequence = secrets.randbits(64), 0
         self.known, self.admitted, self.last, self.newest, self.notices = (), frozenset(), None, 0, ()
+        self.born = None
 
     @property
     def why(self) -> str:
@@ -47,6 +48,10 @@ class NoJournal(Journal):
         """Forgets it."""
 
     def flush(self) -> None:
+        """Raises JournalError."""
+        raise self._why
+
+    def renew(self) -> None:
         """Raises JournalError."""
         raise self._why
 

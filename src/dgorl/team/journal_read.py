@@ -14,12 +14,9 @@ from dgorl.errors import LogError
 from dgorl.logs.team import valid_name
 from dgorl.team.bundles import Bundle, Name
 from dgorl.team.envelope import Rejected, unwrap
-from dgorl.team.journal_schema import JournalError, Kind, Run, connect, facts_of
+from dgorl.team.journal_schema import LARGEST_BUNDLE, JournalError, Kind, Run, connect, facts_of
 from dgorl.team.keys import Roster
 from dgorl.team.wire import content, peek
-
-LARGEST_BUNDLE = 2**20
-"""Whatever the agent's limit was [bytes]."""
 
 
 @dataclass(frozen=True)

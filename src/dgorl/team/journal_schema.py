@@ -24,6 +24,12 @@ APPLICATION = 0x4447_4F52
 VERSION = 1
 """Of the tables; SQLite's user_version."""
 
+LARGEST_BUNDLE = 2**20
+"""Bundles are read back whatever the agent's limit was [bytes]."""
+
+LARGEST_BUNDLE = 2**20
+"""Bundles are read back whatever the agent's limit was [bytes]."""
+
 HEADER = 100
 """Bytes of SQLite's file header."""
 

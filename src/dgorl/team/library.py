@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from math import inf
 
 from dgorl.team.admission import Admission
 from dgorl.team.bundles import Name, Sealed
@@ -11,20 +12,26 @@ from dgorl.team.keys import Roster
 from dgorl.team.messages import Key
 from dgorl.team.ranges import Ranges
 from dgorl.team.shelf import Shelf
-from dgorl.team.wire import PURPOSE, Limits, content, peek
+from dgorl.team.wire import PURPOSE, Limits, content, open_sealed, peek
+from dgorl.team.witness import Witness
 
 SETTLING, SETTLED = 4, 2.0
 """The newest bundles of an epoch may be on their way still, for this long [s] after one came."""
+
+SILENT = 10.0
+"""Of an epoch that still is lived in something comes within this time [s]."""
 
 RETAINED = 10.0
 """Bundles are kept this much longer [s] than the history."""
 
 
 class Library:
-    """Of one robot in one epoch, ``own``. ``duplicates`` counts what was here before."""
+    """Of one robot in one epoch, ``own``. ``duplicates`` counts what was here before; see Witness for ``witness``."""
 
-    def __init__(self, own: Key, roster: Roster, history: float, limits: Limits) -> None:
-        self.own = own
+    def __init__(
+        self, own: Key, roster: Roster, history: float, limits: Limits, witness: Witness | None = None
+    ) -> None:
+        self.own, self.witness = own, witness or Witness()
         self.admission = Admission(own, history)
         self.shelves: dict[Key, Shelf] = {}
         self.duplicates = 0
@@ -40,22 +47,64 @@ class Library:
         signature, text = unwrap(data, self._limits.bundle)
         body = peek(text, self._roster)
         key, name = (body.robot, body.epoch), Name(body.robot, body.epoch, body.sequence)
-        if key != sender and not self.admission.admitted(sender):
+        told = key == sender or self.admission.admitted(sender)
+        if not told and body.robot != self.own[0]:
             raise Rejected(Reason.EPOCH, "told by a robot whose own is not")
         shelf = self.shelves.get(key)
         known = self._data(name)
-        if known == data or (known is None and shelf is not None and name.sequence in shelf.had):
+        second = shelf is not None and shelf.contradicted(name.sequence, body.cut)
+        if known == data or (known is None and not second and shelf is not None and name.sequence in shelf.had):
             self.duplicates += 1
             return name, None
+        if key in self.admission.distrusted:
+            self.admission.check(key)
         verify(PURPOSE, body.robot, signature, text, self._roster)
-        if known is not None:
-            raise Rejected(Reason.CONFLICT, f"{name}")
         sealed = Sealed(data, content(body, self._roster))
+        if body.robot == self.own[0]:
+            self._look(sealed, known is not None or second, now)
+            if not told:
+                raise Rejected(Reason.EPOCH, "told by a robot whose own is not")
+        other = known or (shelf.last if shelf is not None and second else None)
+        if other is not None:
+            self.admission.distrust(key, (other, data))
+            self.admission.check(key)
         if shelf is None:
             self.admission.candidate(key).add(sealed)
             return name, None
         self.keep(sealed, now)
         return name, sealed
+
+    def _look(self, sealed: Sealed, second: bool, now: float) -> None:
+        """A bundle with the own signature that is not here; second: another is, in its place. Raises Rejected."""
+        bundle = sealed.bundle
+        if (bundle.robot, bundle.epoch) == self.own:
+            if second or not self.witness.knows(bundle.sequence):
+                self.witness.copied()
+                raise Rejected(Reason.ENDED, f"{bundle.name} was not made here")
+        elif self.witness.lived(bundle, now):
+            raise Rejected(Reason.ENDED, f"{bundle.name} was made after this epoch began")
+
+    def returned(self, data: bytes, key: Key, now: float) -> None:
+        """An epoch that does not count does again if it answers us and the one that does is silent. Raises Rejected.
+
+        data: the bundle that a message of it begins with; it has to tell of a message of ours, sent lately. Robots may
+        be wrong about the order in which another lived; then its own signature cannot tell it to begin anew.
+        """
+        current = self.admission.current(key[0])
+        shelf = None if current is None else self.shelves.get((key[0], current))
+        if shelf is None or now - shelf.changed < SILENT or key not in self.shelves:
+            return
+        bundle = open_sealed(data, self._roster).bundle
+        heard = max((told.sent for told in bundle.clocks if (told.peer, told.peer_epoch) == self.own), default=-inf)
+        if (bundle.robot, bundle.epoch) == key and heard >= now - SILENT:
+            self.admission.prefer(key)
+
+    def proof(self, robot: str) -> list[bytes]:
+        """What its own signature proves to a robot whose messages do not count: that its epoch has ended."""
+        signed = [data for key, pair in self.admission.distrusted.items() if key[0] == robot for data in pair][-2:]
+        current = self.admission.current(robot)
+        shelf = None if current is None else self.shelves.get((robot, current))
+        return signed if shelf is None or shelf.last is None else [*signed, shelf.last]
 
     def keep(self, sealed: Sealed, now: float) -> None:
         """Put a bundle of an admitted epoch on its shelf."""
@@ -94,11 +143,14 @@ class Library:
 
     def holds(self) -> dict[Key, Ranges]:
         """The bundles that can be passed on."""
-        return {key: shelf.kept for key, shelf in self.shelves.items() if shelf.kept}
+        distrusted = self.admission.distrusted
+        return {key: shelf.kept for key, shelf in self.shelves.items() if shelf.kept and key not in distrusted}
 
     def lacks(self, key: Key, held: Ranges, newest: int) -> Ranges:
         """What of ``held`` is not here; of an epoch that waits, of its ``newest`` alone."""
         shelf = self.shelves.get(key)
+        if key in self.admission.distrusted:
+            return Ranges()
         if shelf is not None:
             return held.minus(shelf.had)
         waiting = self.admission.waits(key)
@@ -106,18 +158,23 @@ class Library:
         lacking.drop_below(held.high - newest + 1)
         return lacking
 
+    def missing(self, held: Mapping[Key, Ranges], newest: int) -> dict[Key, Ranges]:
+        """What another holds, of robots of the roster, and is not here."""
+        return {key: self.lacks(key, numbers, newest) for key, numbers in held.items() if key[0] in self._roster}
+
     def beyond(self, held: Mapping[Key, Ranges], now: float, *, settled: bool = False) -> dict[Key, Ranges]:
         """What is kept here of the epochs robots live in and not by another, from the lowest it holds on.
 
         settled: but for the newest, which may be on their way.
         """
         beyond: dict[Key, Ranges] = {}
-        for key, shelf in self.shelves.items():
-            if not shelf.kept or self.admission.current(key[0]) != key[1]:
+        for key, kept in self.holds().items():
+            if self.admission.current(key[0]) != key[1]:
                 continue
+            shelf = self.shelves[key]
             of_key = held.get(key, Ranges())
-            high = shelf.kept.high - (SETTLING if settled and now - shelf.changed < SETTLED else 0)
-            missing = shelf.kept.minus(of_key).within(of_key.low, high)
+            high = kept.high - (SETTLING if settled and now - shelf.changed < SETTLED else 0)
+            missing = kept.minus(of_key).within(of_key.low, high)
             if missing:
                 beyond[key] = missing
         return beyond
@@ -140,5 +197,5 @@ class Library:
         """The newest stamp known of a live epoch [s], on its clock."""
         if key == self.own:
             return now
-        shelf = self.shelves.get(key)
+        shelf = None if key in self.admission.distrusted else self.shelves.get(key)
         return shelf.newest if shelf and now - shelf.changed <= self._retention else None

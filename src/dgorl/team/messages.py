@@ -18,6 +18,7 @@ from dgorl.team.envelope import Reason, Rejected, decoded, unwrap, verify, wrap
 from dgorl.team.keys import Roster, Signer
 from dgorl.team.ranges import Ranges
 from dgorl.team.rates import Losses
+from dgorl.team.transport import Channel
 from dgorl.team.wire import BITS_64, NUMBERS, Text, Whole
 
 HASH_BYTES = 8
@@ -95,7 +96,7 @@ class Bundles(Head, frozen=True):
 
 Message = Digest | Requests | Bundles
 
-CHANNEL: dict[type[Head], str] = {Digest: "digest", Requests: "requests", Bundles: "bundles"}
+CHANNEL: dict[type[Head], Channel] = {Digest: "digest", Requests: "requests", Bundles: "bundles"}
 _lists = msgspec.msgpack.Decoder(list[bytes])
 _decoders = {channel: msgspec.msgpack.Decoder(kind) for kind, channel in CHANNEL.items()}
 

@@ -87,12 +87,17 @@ class Stamps:
 
     def __init__(self) -> None:
         self._epochs: OrderedDict[int, tuple[float, set[float]]] = OrderedDict()
+        self._before: dict[int, float] = {}
 
     def check(self, epoch: int, stamp: float) -> None:
         """Raises Rejected for a stamp that came before, or is too late to tell."""
         newest, seen = self._epochs.get(epoch, (stamp, ()))
-        if stamp in seen or stamp < newest - LATEST:
+        if stamp in seen or stamp < newest - LATEST or stamp <= self._before.get(epoch, stamp - 1.0):
             raise Rejected(Reason.REPLAYED, f"stamp {stamp}, the newest is {newest}")
+
+    def restore(self, epoch: int, stamp: float) -> None:
+        """All up to this stamp came before this program began."""
+        self._before[epoch] = max(stamp, self._before.get(epoch, stamp))
 
     def mark(self, epoch: int, stamp: float) -> None:
         """A message with this stamp was taken."""

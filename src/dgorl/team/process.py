@@ -171,7 +171,7 @@ class _Process:
         return room(self.setup.journal)
 
     def _joined(self, journal: Journal) -> None:
-        fields: dict[str, object] = {"team": self.setup.team.team}
+        fields: dict[str, object] = {"team": self.setup.team.team, "journal": str(self.setup.journal.absolute())}
         if isinstance(journal, NoJournal):
             what = "joined without a journal: its own measurements wait, it estimates from what the others say"
             log.error(what, extra={"fields": fields | {"why": journal.why}})

@@ -28,5 +28,5 @@ class Rejections(Counter[str]):
 
     def take(self, sender: str, rejected: Rejected) -> None:
         """Count one."""
-        self[rejected.reason] += 1
+        self[rejected.counted] += 1
         self.untold.append(Rejection(sender, rejected.reason, str(rejected)))

@@ -13,6 +13,9 @@ BYTES = 4_000_000
 COUNT = 4096
 """... and at most so many bundles."""
 
+SET_BACK = 2.0
+"""So much [s] a robot's clock may be set back while its program does not run."""
+
 
 @dataclass(slots=True)
 class _Kept:
@@ -33,6 +36,9 @@ class Shelf:
         """cut of the newest bundle [s], its origin's clock"""
         self.changed = -float("inf")
         """when the last one came [s], local clock"""
+        self.last: bytes | None = None
+        """the one of the largest number, kept when all others are let go: it proves that there was this epoch"""
+        self._last_cut = -float("inf")
         self._retention = retention
         self._bundles: dict[int, _Kept] = {}
         self._bytes = 0
@@ -42,6 +48,8 @@ class Shelf:
         number = sealed.bundle.sequence
         if number in self.had:
             return False
+        if number > self.had.high:
+            self.last, self._last_cut = sealed.data, sealed.bundle.cut
         self.had.add(number)
         self.changed = max(self.changed, now)
         self.newest = max(self.newest, sealed.bundle.cut)
@@ -55,6 +63,11 @@ class Shelf:
         ):
             self._let_go(self.kept.low)
         return True
+
+    def contradicted(self, number: int, cut: float) -> bool:
+        """Whether numbers and cuts [s] do not rise together: of one life of an epoch they do."""
+        later, earlier = cut > self.newest + SET_BACK, cut < self._last_cut - SET_BACK
+        return (number < self.had.high and later) or (number > self.had.high and earlier)
 
     def data(self, number: int) -> bytes | None:
         """The sealed bytes, if they are kept."""

@@ -47,7 +47,7 @@ class Teller:
     def report(self, report: Report) -> None:
         """Log what was rejected since the last report and nobody is named for."""
         for reason, count in report.rejected.items():
-            if (grown := count - self._rejected[reason]) > 0 and reason not in NAMED:
+            if (grown := count - self._rejected[reason]) > 0 and reason.partition(": ")[0] not in NAMED:
                 fields = {"reason": reason, "times": grown}
                 log.warning("something was not taken", extra={"fields": fields, "kind": reason})
         self._rejected = Counter(report.rejected)
