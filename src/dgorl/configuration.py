@@ -20,6 +20,17 @@ Kernel = Literal["none", "huber", "cauchy", "huber_negative", "cauchy_negative"]
 Solver = Literal["native", "g2o", "gtsam"]
 Clock = Literal["shared", "estimated"]
 
+NOISE = (
+    "heading_per_second",
+    "heading_per_radian",
+    "heading_per_metre",
+    "forward_per_metre",
+    "lateral_per_metre",
+    "position_per_second",
+    "predicted_speed_sigma",
+    "predicted_turn_rate_sigma",
+)
+"""Settings of ``Motion`` that are standard deviations."""
 LONGEST_WORD = 80
 """of what is compared with known words, so that comparing costs nothing"""
 
@@ -174,7 +185,8 @@ class Configuration:
             "window must be a multiple of 5 s, at least 5": self.window == "all"
             or (self.window >= 5 and float(self.window) % 5 == 0),
             "history must be at least 10 s": self.history >= 10,
-            "period must be positive": self.period > 0,
+            "period must be at least 0.001 s": self.period >= 1e-3,
+            "seed must be at least 0": self.seed >= 0,
             "candidates must be at least 1": self.candidates >= 1,
             "radio.path_loss_exponent must be positive": self.radio.path_loss_exponent > 0,
             "radio.sigma_db must be positive": self.radio.sigma_db > 0,
@@ -190,6 +202,10 @@ class Configuration:
             "limits.disc must have a positive radius": self.limits.disc is None or self.limits.disc[2] > 0,
             "limits.box must have x_min < x_max, y_min < y_max": self.limits.box is None
             or (self.limits.box[0] < self.limits.box[2] and self.limits.box[1] < self.limits.box[3]),
+            "motion noise must be at least 0": min(getattr(self.motion, name) for name in NOISE) >= 0,
+            "motion limits must be positive": min(self.motion.maximum_speed, self.motion.maximum_turn_rate) > 0,
+            "status limits must be positive": min(self.status.accuracy, self.status.heading, self.status.age) > 0,
+            "status.accuracy_per_metre must be at least 0": self.status.accuracy_per_metre >= 0,
             "motion scales must be positive": min(self.motion.linear_scale, self.motion.angular_scale) > 0,
         }
         for what, holds in checks.items():

@@ -11,6 +11,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -104,6 +105,13 @@ def _setup(options: argparse.Namespace) -> Setup:
     from dgorl.team.process import Setup
     from dgorl.team.team_file import TeamFile
 
+    for name, least in (("rate", 0.001), ("settle", 0.0), ("origin", -inf), ("at", -inf), ("until", -inf)):
+        value = getattr(options, name)
+        if value is not None and not least <= value < inf:
+            raise ConfigurationError(f"command line: --{name} must be a number, at least {least:g}, got {value}")
+    for name in ("clock_offset", "clock_drift"):
+        if not isfinite(getattr(options, name)):
+            raise ConfigurationError(f"command line: --{name.replace('_', '-')} must be a number")
     team = TeamFile.read(options.team)
     if options.robot not in team.robots:
         hint = f"{nearest(options.robot, team.robots)}; the robots are {', '.join(team.robots)}"

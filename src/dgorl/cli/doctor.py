@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +21,7 @@ from tyro.conf import Positional, arg
 from dgorl import logs
 from dgorl.cli.parsing import File
 from dgorl.cli.terminal import terminal, words
-from dgorl.errors import DgorlError, LogError
+from dgorl.errors import ConfigurationError, DgorlError, LogError
 from dgorl.findings import Finding, Level, problem
 from dgorl.installation import installation
 from dgorl.logs.checkup import checkup
@@ -49,6 +50,8 @@ class Options:
 
 def main(options: Options) -> None:
     """Say what was found. Raises DgorlError, exit code 1, if there are problems."""
+    if not 0.0 < options.seconds < inf:
+        raise ConfigurationError(f"command line: --seconds must be positive, got {options.seconds}")
     findings = []
     console = terminal()
     for finding in examined(options):

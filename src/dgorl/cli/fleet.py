@@ -168,6 +168,7 @@ def _log(options: Options) -> Log:
         log = logs.read(options.log)
     log = options.of(log)
     if options.duration is not None:
+        _at_least(options.duration, 0.0, "duration")
         end = min(map(known_at, log.measurements)) + options.duration
         log = dataclasses.replace(log, measurements=tuple(m for m in log.measurements if known_at(m) <= end))
     if not log.measurements:

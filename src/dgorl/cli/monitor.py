@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from contextlib import closing
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,7 +57,7 @@ def main(options: Options) -> None:
         raise ConfigurationError(f"{options.team}: no robot is called `{options.robot}`{hint}")
     if options.out is not None and not options.viewer:
         raise ConfigurationError("command line: --out names the picture of --viewer; give both")
-    if not (options.every > 0.0 and options.seconds > 0.0):
+    if not (0.0 < options.every < inf and 0.0 < options.seconds < inf):
         raise ConfigurationError("command line: --every and --seconds must be positive")
     with closing(Watcher(team, options.name)) as watcher:
         if options.viewer:

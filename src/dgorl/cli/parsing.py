@@ -91,3 +91,17 @@ def _comma_separated(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] |
         is_instance=lambda value: isinstance(value, tuple) and all(word in words for word in value),
         str_from_instance=lambda value: [",".join(value)],
     )
+
+
+@_registry.primitive_rule
+def _text_or_none(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Text that may be left out, ``none`` then."""
+    if set(get_args(info.type)) != {str, type(None)}:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="TEXT",
+        instance_from_str=lambda texts: None if texts[0] == "none" else texts[0],
+        is_instance=lambda value: value is None or isinstance(value, str),
+        str_from_instance=lambda value: ["none" if value is None else value],
+    )

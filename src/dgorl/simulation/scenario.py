@@ -40,7 +40,10 @@ class Teleport:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A team and its world; the defaults are the paper's (METHOD §9). Raises ConfigurationError."""
+    """A team and its world; the defaults are the paper's."""
+
+    # The first docstring and those of the fields are help texts of the command line. METHOD §9 has the defaults; a
+    # value that cannot be raises ConfigurationError.
 
     robots: int = 5
     """number of robots, r1..rN"""
@@ -69,7 +72,7 @@ class Scenario:
     comm_range: float = 40.0
     """robots farther apart than this neither hear nor see one another [m]"""
     motion: Motion = "random-walk"
-    """see :mod:`dgorl.simulation.world`"""
+    """random-walk: each its own; formation: one walk for all; straight: no turns; static: nobody moves"""
     nlos: float = 0.0
     """share of the readings without line of sight: ranges too long, signals too weak"""
     wheel_scale: float = 1.0
