@@ -20,6 +20,10 @@ def test_help_is_for_users(dgorl: Dgorl, command: str) -> None:
     assert INTERNAL.findall(done.stdout) == []
 
 
+def test_comments_of_the_configuration_are_for_users(dgorl: Dgorl) -> None:
+    assert INTERNAL.findall(dgorl("config").stdout) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

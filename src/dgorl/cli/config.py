@@ -9,6 +9,7 @@ import ast
 import dataclasses
 import inspect
 import json
+import re
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -58,4 +59,5 @@ def docstrings(configuration: type) -> dict[str, str]:
 
 
 def _comment(text: str) -> str:
-    return f"  # {' '.join(text.split())}" if text else ""
+    said = re.sub(r" \(METHOD §\d+\)", "", " ".join(text.split()))  # which users do not have
+    return f"  # {said}" if said else ""

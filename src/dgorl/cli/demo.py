@@ -5,6 +5,7 @@ Example: dgorl demo --log logs/lab
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,11 +32,12 @@ class Options:
 
 def main(options: Options) -> None:
     """Simulate unless given a log, then do what `dgorl run` does."""
+    out = options.out or (Path("out/demo") if options.log is None else default_folder(options.log))
     if options.log is not None:
-        out, path = options.out or default_folder(options.log), options.log
+        log = logs.read(options.log)
     else:
-        out = options.out or Path("out/demo")
-        path = out / "log"
-        check_replaceable(path)
-        logs.write(simulate(Scenario(seed=options.seed)), path)
-    report(Session(logs.read(path), None, {}, "known", (), out), json_wanted=options.json)
+        log = dataclasses.replace(simulate(Scenario(seed=options.seed)), path=out / "log")
+        check_replaceable(log.path)
+    report(Session(log, None, {}, "known", (), out), json_wanted=options.json)
+    if options.log is None:
+        logs.write(log, log.path)

@@ -47,7 +47,7 @@ class Options(EstimationOptions):
     """What ``dgorl fleet`` can be told. Times are the log's."""
 
     out: Annotated[Path, arg(metavar="DIR")]
-    """where results go; earlier ones are replaced. The agents' files are in its folder `live`"""
+    """where results go; earlier ones are replaced at the end. The agents' files are in its folder `live`"""
     log: Positional[LogPath] = None
     """a dgorl log folder, a UTIAS MRCLAM folder or a .pyfg file"""
     simulate: bool = False
@@ -84,7 +84,7 @@ class Options(EstimationOptions):
 def main(options: Options) -> None:
     """Run the team, write what it estimated, print the table and the checks."""
     fleet = fleet_of(options)
-    output.prepare(options.out)
+    output.check(options.out)
     errors = terminal(stderr=True)
     if errors.is_terminal:
         errors.print(f"{len(fleet.log.robots)} agents, {(fleet.last - fleet.first) / fleet.rate:.0f} s")
@@ -123,7 +123,7 @@ def _report(options: Options, fleet: Fleet, errors: Console) -> None:
     checks = fleet_results.check(fleet, reports)
     records = fleet_results.records_of(fleet, reports)
     about = {
-        "log": str(fleet.log.path),
+        "log": str(fleet.log.path.absolute()),
         "robots": list(fleet.log.robots),
         "initial": options.initial,
         "measurements": kinds_in(fleet.log),
@@ -132,19 +132,20 @@ def _report(options: Options, fleet: Fleet, errors: Console) -> None:
         "traffic": fleet_results.traffic_of(fleet, reports),
         "checks": fleet_results.as_summary(checks),
     }
-    summary = output.write(records, fleet.configuration, about, options.out)
-    final = json.dumps(fleet_results.final_of(fleet, checks), ensure_ascii=False, allow_nan=False)
-    (options.out / "final.json").write_text(final + "\n", encoding="utf-8")
+    with output.replacing(options.out) as folder:
+        summary = output.write(records, fleet.configuration, about, folder)
+        final = json.dumps(fleet_results.final_of(fleet, checks), ensure_ascii=False, allow_nan=False)
+        (folder / "final.json").write_text(final + "\n", encoding="utf-8")
+        try:
+            if checks.last:
+                write_figures(fleet_results.drawn(fleet, reports, checks.last), folder / "figures")
+        except MissingExtraError as error:
+            errors.print(words(str(error)), soft_wrap=True)
     out = errors if options.json else terminal()
     show(summary, out)
     for line in _said(checks):
         out.print(words(line), soft_wrap=True)
     out.print(words(f"Results: {options.out}"), soft_wrap=True)
-    try:
-        if checks.last:
-            write_figures(fleet_results.drawn(fleet, reports, checks.last), options.out / "figures")
-    except MissingExtraError as error:
-        errors.print(words(str(error)), soft_wrap=True)
     if options.json:
         print(json_line(summary))
 

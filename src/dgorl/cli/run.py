@@ -23,7 +23,8 @@ class Options(EstimationOptions):
     log: LogArgument
     """a dgorl log folder, a UTIAS MRCLAM folder or a .pyfg file"""
     out: Folder = None
-    """where results go; earlier ones are replaced (default: out/NAME OF THE LOG)"""
+    """where results go; earlier ones are replaced at the end (default: out/NAME OF THE LOG, or out/NAME-2, … where that
+    holds the results of another log)"""
     ego: Names = ()
     """robot whose view is wanted; all when not given"""
     solver: Solver = "native"

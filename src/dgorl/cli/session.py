@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,14 @@ class Session:
 
 
 def default_folder(log: Path) -> Path:
-    """out/NAME OF THE LOG."""
-    return Path("out") / (log.resolve().stem if log.is_file() else log.resolve().name)
+    """out/NAME OF THE LOG; with -2, -3, … behind it where that holds the results of another log of this name."""
+    name = log.resolve().stem if log.is_file() else log.resolve().name
+    for k in count(1):
+        folder = Path("out") / (name if k == 1 else f"{name}-{k}")
+        owner = output.log_of(folder)
+        if owner is None or owner.resolve() == log.resolve():
+            return folder
+    raise AssertionError  # there are numbers enough
 
 
 def report(session: Session, *, json_wanted: bool) -> None:
@@ -71,10 +78,8 @@ def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Pa
     if not len(ticks):
         period = configuration.period
         raise DgorlError(f"{log.path}: nothing to localise: it ends within one period of {period} s")
-    output.prepare(session.out)
-    records = collect(_watched(ticks, errors), log.truth)
     about = {
-        "log": str(log.path),
+        "log": str(log.path.absolute()),
         "robots": list(log.robots),
         "initial": session.initial,
         "estimator": session.estimator,
@@ -84,12 +89,15 @@ def localize(session: Session, errors: Console) -> tuple[dict[str, Any], list[Pa
     }
     if session.estimator != "dgorl" and session.initial == "unknown":
         about["starts"] = "the first poses that dgorl tracked"
-    summary = output.write(records, configuration, about, session.out)
-    try:
-        return summary, write_figures(records, session.out / "figures")
-    except MissingExtraError as error:
-        errors.print(words(str(error)), soft_wrap=True)
-        return summary, []
+    pictures: list[Path] = []
+    with output.replacing(session.out) as folder:
+        records = collect(_watched(ticks, errors), log.truth)
+        summary = output.write(records, configuration, about, folder)
+        try:
+            pictures = write_figures(records, folder / "figures")
+        except MissingExtraError as error:
+            errors.print(words(str(error)), soft_wrap=True)
+    return summary, [session.out / picture.relative_to(folder) for picture in pictures]
 
 
 def kinds_in(log: Log) -> list[str]:

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import json
 import platform
+import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -65,24 +68,64 @@ def write(records: Records, configuration: Configuration, about: Mapping[str, An
     return summary
 
 
+@contextmanager
+def replacing(directory: Path) -> Iterator[Path]:
+    """A folder to write results into; they take the place of an earlier run's in ``directory`` when the block ends.
+
+    Until then, and for good when the block raises, what is in ``directory`` stays as it is. Raises DgorlError if a file
+    is in the way.
+    """
+    check(directory)
+    made = not directory.exists()
+    directory.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
+    try:
+        yield unfinished
+        prepare(directory)
+        files = [file for file in unfinished.rglob("*") if file.is_file()]
+        for file in sorted(files, key=lambda file: file.name == "summary.json"):  # it says that all is there
+            target = directory / file.relative_to(unfinished)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        if made and not any(directory.iterdir()):
+            directory.rmdir()
+
+
+def check(directory: Path) -> None:
+    """Raises DgorlError if a file is in the way of the folder."""
+    for part in (directory, *directory.parents):
+        if part.exists() and not part.is_dir():
+            raise DgorlError(f"{part}: is a file, not a folder; name another folder with --out")
+
+
+def log_of(directory: Path) -> Path | None:
+    """The log whose results are in a folder; None if there are none."""
+    try:
+        return Path(json.loads((directory / "summary.json").read_text(encoding="utf-8"))["log"])
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError):
+        return directory  # of something else
+
+
 def prepare(directory: Path) -> None:
     """Make the folder and take an earlier run's files away, so that none of them is taken for this run's.
 
     Raises DgorlError if a file is in the way. Only files that this module and the figures write are removed.
     """
-    for part in (directory, *directory.parents):
-        if part.exists() and not part.is_dir():
-            raise DgorlError(f"{part}: is a file, not a folder; name another folder with --out")
+    check(directory)
     directory.mkdir(parents=True, exist_ok=True)
     if not (directory / "summary.json").is_file():
         return
+    (directory / "summary.json").unlink()
     for pattern in ("relative/*/*.csv", "relative/*/*.tum", "hypotheses/*/*.csv", "figures/*.png"):
         for file in directory.glob(pattern):
             file.unlink()
     for folder in (*directory.glob("relative/*"), *directory.glob("hypotheses/*"), directory / "hypotheses"):
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
-    (directory / "summary.json").unlink()
 
 
 def csv_lines(record: PairRecord) -> Iterator[str]:
