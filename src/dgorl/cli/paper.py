@@ -144,9 +144,9 @@ def _setting(options: Options) -> dict[str, Any]:
 
 def _show(claims: Sequence[Claim], console: Console) -> None:
     """The claims, briefly."""
-    table = Table(box=box.SIMPLE_HEAD)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("claim", "paper", "ours", "spread", "asked", "met"):
-        table.add_column(name, no_wrap=name in ("ours", "asked"))
+        table.add_column(name, overflow="fold")
     for claim in claims:
         row = cells(claim)
         table.add_row(*(Text(row[k].replace("*", "")) for k in COLUMNS))

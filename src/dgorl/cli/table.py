@@ -15,6 +15,8 @@ from dgorl.cli.terminal import words
 LOCATED = ("position", "tracked")
 ROWS = 12
 """of peers that are not located: more are counted, not listed"""
+ROOMY = 80
+"""Columns of a terminal that has room for air between those of a table."""
 COLUMNS = ("position\nRMSE [m]", "heading\nRMSE [°]", "located\n[%]", "in 95 %\nellipse [%]", "tick\n[ms]")
 
 
@@ -25,8 +27,9 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
         console.print(words(f"{robots[0]} is alone in this log: there is no peer to localise."))
         return
     title = f"{len(robots)} robots, {summary['ticks']} ticks"
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-    table.add_column("ego", no_wrap=True)
+    padding = (0, 1) if console.width >= ROOMY else (0, 1, 0, 0)
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=padding)
+    table.add_column("ego", overflow="fold")
     for name in COLUMNS:
         table.add_column(Text(name), justify="right", no_wrap=True)
     for ego, figures in egos.items():
@@ -41,6 +44,9 @@ def show(summary: Mapping[str, Any], console: Console) -> None:
         whom = "these ticks" if len(blind) == len(egos) else ", ".join(blind)
         what = f"No ground truth for {whom}: errors are not known. `dgorl run --truth FILE` scores against one."
         console.print(words(what), soft_wrap=True)
+    if summary.get("skipped"):
+        left_out = ", ".join(f"{count} × {reason}" for reason, count in summary["skipped"].items())
+        console.print(words(f"Left out of the log: {left_out}."), soft_wrap=True)
     if not summary["measurements"]:
         what = "this is dead reckoning from the starts" if summary["initial"] == "known" else "nobody can be located"
         console.print(f"The log has no measurements between robots: {what}.")
@@ -55,14 +61,22 @@ def _show_unlocated(egos: Mapping[str, Any], console: Console) -> None:
                 rows.setdefault((ego, seen["status"], seen["reason"], seen["resolve_by"]), []).append(peer)
     if not rows:
         return
-    table = Table(box=box.SIMPLE_HEAD, title="Not located at the end", title_justify="left")
-    for name in ("ego", "peers", "status"):
-        table.add_column(name, no_wrap=name != "peers")
-    table.add_column("why", ratio=3)
-    table.add_column("would help", ratio=2)
-    for (ego, status, reason, help_), peers in list(rows.items())[:ROWS]:
-        table.add_row(*(words(cell) for cell in (ego, ", ".join(peers), status, reason, help_)))
-    console.print(table)
+    listed = [(ego, ", ".join(peers), *said) for (ego, *said), peers in list(rows.items())[:ROWS]]
+    names = sum(max(len(row[k]) for row in listed) + 3 for k in range(3))
+    if names > console.width / 2:  # no room for the reasons beside them
+        console.print("Not located at the end\n")
+        for ego, peers, status, reason, help_ in listed:
+            console.print(words(f"  {ego} sees {peers}: {status}: {reason}{help_ and f'; would help: {help_}'}"))
+        console.print()
+    else:
+        table = Table(box=box.SIMPLE_HEAD, title="Not located at the end", title_justify="left")
+        for name in ("ego", "peers", "status"):
+            table.add_column(name, no_wrap=True)
+        table.add_column("why", ratio=3)
+        table.add_column("would help", ratio=2)
+        for row in listed:
+            table.add_row(*map(words, row))
+        console.print(table)
     if len(rows) > ROWS:
         console.print(f"… and {len(rows) - ROWS} more rows like these; summary.json has all.")
 

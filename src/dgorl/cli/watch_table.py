@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import degrees
-from typing import Any
+from typing import Any, Literal
 
 from rich import box
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -23,6 +25,8 @@ COLUMNS = (
     "loss\n[%]",
 )  # fmt: skip
 WORDS = ("peer", "status")
+LEFT_OUT: Sequence[Collection[int]] = ((), (0, 1), (0, 1, 10), (0, 1, 8, 9, 10), (0, 1, 6, 8, 9, 10))
+"""Columns that narrower and narrower terminals do without: clock and traffic, loss, age and heading's σ, heading."""
 WIDTH = 100
 """Columns a plain table needs."""
 
@@ -36,18 +40,39 @@ def tables(state: Mapping[str, Any], ego: str | None) -> RenderableType:
     told = {name: r for name, r in robots.items() if r["says"] is not None and ego in (None, name)}
     parts: list[RenderableType] = [words(f"Team {state['team']}: {_heard(robots)}", style="bold")]
     if told:
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
-        table.add_column("robot", no_wrap=True)
-        for name in COLUMNS:
-            table.add_column(Text(name), justify="left" if name in WORDS else "right", no_wrap=True)
-        for name, robot in told.items():
-            _add(table, name, robot)
-            table.add_section()
-        parts.append(table)
+        parts.append(_Fitted(told))
     if ego is not None and told:
         parts.extend(_reasons(told[ego]["says"]["peers"]))
     parts.extend(words(line, style="yellow") for line in remarks(state) if ego is None or line.startswith(f"{ego}:"))
     return Group(*parts)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The table of the robots that told how they fare, without the columns that a narrow terminal has no room for."""
+
+    told: Mapping[str, Any]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        for left_out in LEFT_OUT:
+            table = self._table(left_out)
+            if Measurement.get(console, options.update(max_width=1000), table).maximum <= options.max_width:
+                break
+        yield table
+
+    def _table(self, left_out: Collection[int]) -> Table:
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
+        table.add_column("robot", overflow="fold")
+        kept = [k for k in range(len(COLUMNS)) if k not in left_out]
+        for name in (COLUMNS[k] for k in kept):
+            wraps = name == "peer"
+            justify: Literal["left", "right"] = "left" if name in WORDS else "right"
+            table.add_column(Text(name), justify=justify, no_wrap=not wraps, overflow="fold" if wraps else "ellipsis")
+        for name, robot in self.told.items():
+            for first, cells, style in _rows(name, robot):
+                table.add_row(first, *(cells[k] for k in kept if k < len(cells)), style=style)
+            table.add_section()
+        return table
 
 
 def remarks(state: Mapping[str, Any]) -> list[str]:
@@ -87,17 +112,17 @@ def _speaks(robot: Mapping[str, Any]) -> bool:
     return robot["says"] is not None and robot["says"]["s_ago"] < STALE
 
 
-def _add(table: Table, name: str, robot: Mapping[str, Any]) -> None:
+def _rows(name: str, robot: Mapping[str, Any]) -> Iterator[tuple[str, list[RenderableType], str]]:
+    """A robot's rows: its name, in the first alone, the cells of ``COLUMNS`` and a style."""
     says = robot["says"]
     silent = says["s_ago"] >= STALE
-    head = name, _clock(robot["clock"]), _number(says["sent_bytes_per_s"], 0)
+    head: list[RenderableType] = [_clock(robot["clock"]), _number(says["sent_bytes_per_s"], 0)]
     if not says["peers"]:
-        table.add_row(*head, "nobody", style=GREY if silent else "")
+        yield name, [*head, "nobody"], GREY if silent else ""
     for peer, seen in says["peers"].items():
         x, y, theta = seen["pose"] or (None, None, None)
         stale = silent or (seen["age_s"] or 0.0) >= STALE
-        table.add_row(
-            *head,
+        cells: list[RenderableType] = [
             words(peer),
             words(seen["status"], style="" if stale else COLORS.get(seen["status"], "")),
             _number(x, 1),
@@ -107,9 +132,9 @@ def _add(table: Table, name: str, robot: Mapping[str, Any]) -> None:
             _number(seen["heading_sigma_deg"], 0),
             _number(seen["age_s"], 1),
             _number(100 * says["loss"][peer] if peer in says["loss"] else None, 0),
-            style=GREY if stale else "",
-        )
-        head = "", "", ""
+        ]
+        yield name, [*head, *cells], GREY if stale else ""
+        name, head = "", ["", ""]
 
 
 def _reasons(peers: Mapping[str, Any]) -> list[RenderableType]:
