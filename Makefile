@@ -16,6 +16,8 @@ FORMATTED := $(shell find cpp -name '*.cpp' -o -name '*.hpp')
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/dgorl demo $(if $(LOG),--log "$(LOG)")
+	@echo
+	@echo "To go on: . $(VENV)/bin/activate    and then: dgorl --help    or, without it: $(VENV)/bin/dgorl --help"
 
 test: $(VENV)/.dev
 	$(VENV)/bin/python -m pytest $(PYTEST_ARGS)

@@ -1,6 +1,6 @@
 """How fast the team agrees: the paper's regularised primal–dual with consensus, beside gossip of the measurements.
 
-    pip install 'dgorl[plot]'
+    pip install '.[plot]'
     python benchmarks/convergence.py --out out/convergence
 
 The simulator's default team, RSSI of 2 dB, 6 keyframes each, starts known to 1.5 m and 0.1 rad, on a ring of which

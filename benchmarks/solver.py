@@ -1,6 +1,6 @@
 """The solver beside its peers: CPU time of a graph of 5 robots and 60 keyframes, to the same cost.
 
-    pip install 'dgorl[peers]' cmeel-eigen
+    pip install '.[peers]' cmeel-eigen
     python benchmarks/solver.py --graphs 20
 
 Graphs of the paper's experiment, known starts; from the last node's poses extended by odometry, as

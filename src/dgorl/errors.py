@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 
 from dgorl.printable import printable
@@ -19,6 +21,11 @@ def brief(text: object) -> str:
 def quoted(text: object) -> str:
     """The same in backticks."""
     return f"`{brief(text)}`"
+
+
+def pip_install(*packages: str) -> str:
+    """The command that installs packages where this program runs, whatever environment is active."""
+    return shlex.join([sys.executable or "python3", "-m", "pip", "install", *packages])
 
 
 class DgorlError(Exception):

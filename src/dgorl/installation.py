@@ -10,18 +10,19 @@ from importlib.util import find_spec
 import numpy as np
 
 import dgorl
+from dgorl.errors import pip_install
 from dgorl.findings import Finding, note, ok, problem
 
 AREA = "install"
 REQUIRED = ("numpy", "PyYAML", "msgspec", "eclipse-zenoh", "cryptography", "tyro", "rich")
-EXTRAS = {
-    "plot": ("matplotlib", "pictures"),
-    "g2o": ("g2opy", "the solver g2o"),
-    "gtsam": ("gtsam", "the solver gtsam and the baseline gtsam-fixed-lag"),
-    "paper": ("pyarrow", "tables of `dgorl paper`"),
-    "cluster": ("distributed", "trials of `dgorl paper` on several machines"),
+OPTIONAL = {
+    "matplotlib": "pictures",
+    "g2opy": "the solver g2o",
+    "gtsam": "the solver gtsam and the baseline gtsam-fixed-lag",
+    "pyarrow": "tables of `dgorl paper`",
+    "distributed": "trials of `dgorl paper` on several machines",
 }
-"""extra → module, what it is for"""
+"""package, which names its module → what it is for"""
 DESCRIPTORS = 256
 """A robot's program and its network need fewer open files."""
 TOLERANCE = 1e-3
@@ -36,9 +37,9 @@ def installation() -> tuple[Finding, ...]:
 def _all() -> Iterator[Finding]:
     yield _core()
     yield from _versions()
-    for extra, (module, use) in EXTRAS.items():
+    for module, use in OPTIONAL.items():
         if find_spec(module) is None:
-            yield note(AREA, f"{module} is not installed: {use} will not work", f"pip install 'dgorl[{extra}]'")
+            yield note(AREA, f"{module} is not installed: {use} will not work", pip_install(module))
         else:
             yield ok(AREA, f"{module} is there, for {use}")
     yield from _descriptors()
@@ -46,7 +47,8 @@ def _all() -> Iterator[Finding]:
 
 def _core(solve: Callable[[], float] | None = None) -> Finding:
     """Two robots with known starts, one drives a metre away from the other."""
-    advice = "install again: pip install --force-reinstall --no-cache-dir dgorl"
+    again = pip_install("--force-reinstall", "--no-deps", "--no-cache-dir", ".")
+    advice = f"install again, in the folder of its source: {again}"
     try:
         off = (solve or _solve)()
     except Exception as error:  # whatever is wrong with a compiled module
@@ -79,7 +81,7 @@ def _versions() -> Iterator[Finding]:
     yield ok(AREA, f"dgorl {dgorl.__version__}, Python {platform.python_version()} on {platform.platform()}")
     yield ok(AREA, ", ".join(there))
     if missing:
-        yield problem(AREA, f"not installed: {', '.join(missing)}", f"pip install {' '.join(missing)}")
+        yield problem(AREA, f"not installed: {', '.join(missing)}", pip_install(*missing))
     try:
         installed = version("dgorl")
     except PackageNotFoundError:

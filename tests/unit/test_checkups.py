@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -133,11 +134,11 @@ class TestInstallation:
         assert installation._core(lambda: float("nan")).level == Level.PROBLEM
 
     def test_what_is_missing_is_named_with_its_pip_line(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(installation, "EXTRAS", {"plot": ("no_such_module", "pictures")})
+        monkeypatch.setattr(installation, "OPTIONAL", {"no_such_module": "pictures"})
         monkeypatch.setattr(installation, "REQUIRED", ("numpy", "no-such-package"))
         monkeypatch.setattr(installation, "DESCRIPTORS", 10**9)
         found = installation.installation()
-        assert [f.advice for f in found if f.level == Level.NOTE] == ["pip install 'dgorl[plot]'"]
+        assert [f.advice for f in found if f.level == Level.NOTE] == [f"{sys.executable} -m pip install no_such_module"]
         problems = said(found, Level.PROBLEM)
         assert problems[0] == "not installed: no-such-package"
         assert problems[1].startswith("a program may open")

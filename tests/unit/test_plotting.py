@@ -212,7 +212,7 @@ def test_missing_matplotlib_says_how_to_get_it(tmp_path: Path, monkeypatch: pyte
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dgorl\[plot\]'"):
+    with pytest.raises(MissingExtraError, match=r"-m pip install matplotlib"):
         write_figures(records(), tmp_path)
 
 

@@ -218,7 +218,7 @@ def test_with_every_pose_fixed_nothing_moves(solver):
 @pytest.mark.parametrize(("solver", "package"), [("g2o", "g2opy"), ("gtsam", "gtsam")])
 def test_a_missing_package_is_named_with_the_remedy(solver, package, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=rf"{package}: pip install 'dgorl\[{solver}\]'"):
+    with pytest.raises(MissingExtraError, match=rf"{package}: .*-m pip install {package}"):
         solve(every_factor(0, "none"), NOBODY, 1e-9, solver)
 
 

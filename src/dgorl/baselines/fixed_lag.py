@@ -21,7 +21,7 @@ from dgorl import _core
 from dgorl.baselines.fixed_lag_graph import Additions, Chain
 from dgorl.baselines.fixed_lag_readings import Readings
 from dgorl.configuration import Configuration
-from dgorl.errors import DgorlError, MissingExtraError
+from dgorl.errors import DgorlError, MissingExtraError, pip_install
 from dgorl.estimate import Estimate, OptimizedGraph, PeerEstimate, Status
 from dgorl.expansion.step import SPACING
 from dgorl.history import LATE, History
@@ -84,7 +84,7 @@ class FixedLagTeam:
         try:
             import gtsam
         except ImportError as error:
-            what = "the estimator gtsam-fixed-lag needs gtsam: pip install 'dgorl[peers]'"
+            what = f"the estimator gtsam-fixed-lag needs gtsam: {pip_install('gtsam')}"
             raise MissingExtraError(what) from error
         self.configuration = configuration or Configuration()
         self.history = History(self.configuration)

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dgorl.errors import DgorlError, MissingExtraError
+from dgorl.errors import DgorlError, MissingExtraError, pip_install
 from dgorl.plotting.live import draw_live
 from dgorl.plotting.style import picture
 from dgorl.printable import printable
@@ -54,7 +54,7 @@ def _window(watcher: Watcher, robot: str | None, every: float) -> None:
     try:
         from matplotlib import pyplot
     except ImportError as error:
-        raise MissingExtraError("pictures need matplotlib: pip install 'dgorl[plot]'") from error
+        raise MissingExtraError(f"pictures need matplotlib: {pip_install('matplotlib')}") from error
     if pyplot.get_backend().lower() in WINDOWLESS:
         raise DgorlError("no display to open a window on; name a file with --out FILE.png, it is drawn again and again")
     figure, axes = pyplot.subplots(figsize=SIZE, num=f"dgorl: {watcher.team.team}")

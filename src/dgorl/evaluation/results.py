@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 import dgorl
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 from dgorl.evaluation.trials import Columns, Outcome, Trial, stacked
 
 _LEAVES = ("cli", "plotting")
@@ -133,7 +133,7 @@ def parquet() -> Any:
     try:
         import pyarrow.parquet
     except ImportError as error:
-        raise MissingExtraError("the experiment's tables need pyarrow: pip install 'dgorl[paper]'") from error
+        raise MissingExtraError(f"the experiment's tables need pyarrow: {pip_install('pyarrow')}") from error
     return pyarrow.parquet
 
 

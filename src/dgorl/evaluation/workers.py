@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from threading import Thread
 from typing import Any, TypeVar
 
-from dgorl.errors import DgorlError, MissingExtraError
+from dgorl.errors import DgorlError, MissingExtraError, pip_install
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -44,7 +44,7 @@ def on_cluster(run: Callable[[A], B], tasks: Sequence[A], address: str) -> Itera
     try:
         import distributed
     except ImportError as error:
-        raise MissingExtraError("a cluster needs Dask: pip install 'dgorl[cluster]'") from error
+        raise MissingExtraError(f"a cluster needs Dask: {pip_install('distributed')}") from error
     dask: Any = distributed
     try:
         client = dask.Client(address, timeout=10)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgorl import se2
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 from dgorl.optimization.linearization import Linearization
 from dgorl.optimization.problem import Problem
 from dgorl.se2 import Array
@@ -26,7 +26,7 @@ def optimize(problem: Problem, tolerance: float) -> tuple[Array, int, str]:
     try:
         import g2opy
     except ImportError as error:
-        raise MissingExtraError("the solver g2o needs g2opy: pip install 'dgorl[g2o]'") from error
+        raise MissingExtraError(f"the solver g2o needs g2opy: {pip_install('g2opy')}") from error
     optimizer = g2opy.SparseOptimizer()
     optimizer.set_algorithm(g2opy.OptimizationAlgorithmLevenberg(g2opy.BlockSolverX(g2opy.LinearSolverEigenX())))
     vertices = []

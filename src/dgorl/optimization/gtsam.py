@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 from dgorl.optimization.linearization import Linearization
 from dgorl.optimization.problem import Problem
 from dgorl.se2 import Array
@@ -26,7 +26,7 @@ def optimize(problem: Problem, tolerance: float) -> tuple[Array, int, str]:
     try:
         import gtsam
     except ImportError as error:
-        raise MissingExtraError("the solver gtsam needs gtsam: pip install 'dgorl[gtsam]'") from error
+        raise MissingExtraError(f"the solver gtsam needs gtsam: {pip_install('gtsam')}") from error
     at = _Poses(problem)
     factors = Linearization(problem, at)
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()

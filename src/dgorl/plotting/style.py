@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 from dgorl.estimate import Status
 from dgorl.se2 import rotation
 
@@ -67,7 +67,7 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingExtraError("pictures need matplotlib: pip install 'dgorl[plot]'") from error
+        raise MissingExtraError(f"pictures need matplotlib: {pip_install('matplotlib')}") from error
     with matplotlib.rc_context(cast(Any, _STYLE)):
         figure = Figure(figsize=(width, height))
         FigureCanvasAgg(figure)

@@ -16,7 +16,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 
 SOURCE = Path(__file__).with_name("edges.cpp")
 LIBRARIES = ("g2o_types_slam2d", "g2o_core", "g2o_stuff")
@@ -74,7 +74,7 @@ def _g2o() -> tuple[Path, Path]:
     """Folders of g2o's headers and static libraries."""
     spec = find_spec("g2opy")
     if spec is None or spec.origin is None:
-        raise MissingExtraError("g2o in C++ needs g2opy's wheel: pip install 'dgorl[g2o]'")
+        raise MissingExtraError(f"g2o in C++ needs g2opy's wheel: {pip_install('g2opy')}")
     site = Path(spec.origin).parent.parent
     for name in ("lib64", "lib"):
         if all((site / name / f"lib{library}.a").exists() for library in LIBRARIES):
@@ -90,4 +90,4 @@ def _eigen() -> Path:
     for folder in (*folders, Path("/usr/local/include/eigen3"), Path("/usr/include/eigen3")):
         if (folder / "Eigen" / "Sparse").exists():
             return folder
-    raise MissingExtraError("g2o in C++ needs Eigen's headers: pip install cmeel-eigen")
+    raise MissingExtraError(f"g2o in C++ needs Eigen's headers: {pip_install('cmeel-eigen')}")

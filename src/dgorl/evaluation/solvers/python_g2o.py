@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 from dgorl.evaluation.solvers.run import Run, bare
 from dgorl.optimization.problem import Indices, Problem
 from dgorl.radio import MINIMUM_DISTANCE
@@ -23,7 +23,7 @@ def optimize(problem: Problem, newest: Indices, iterations: int) -> Run:
     try:
         import g2opy
     except ImportError as error:
-        raise MissingExtraError("g2o from Python needs g2opy: pip install 'dgorl[g2o]'") from error
+        raise MissingExtraError(f"g2o from Python needs g2opy: {pip_install('g2opy')}") from error
     graph = bare(problem)
     began = time.process_time()
     optimizer = g2opy.SparseOptimizer()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dgorl.errors import MissingExtraError
+from dgorl.errors import MissingExtraError, pip_install
 from dgorl.evaluation.solvers.run import Bare, Run, bare
 from dgorl.optimization.problem import Indices, Problem
 from dgorl.radio import MINIMUM_DISTANCE
@@ -22,7 +22,7 @@ def optimize(problem: Problem, newest: Indices, iterations: int) -> Run:
     try:
         import gtsam
     except ImportError as error:
-        raise MissingExtraError("GTSAM from Python needs gtsam: pip install 'dgorl[gtsam]'") from error
+        raise MissingExtraError(f"GTSAM from Python needs gtsam: {pip_install('gtsam')}") from error
     if problem.initial[problem.fixed].any():
         raise ValueError("solvers are compared with the world fixed at the origin")
     graph = bare(problem)
