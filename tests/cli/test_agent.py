@@ -122,6 +122,14 @@ def until(holds: Callable[[], object], seconds: float = 30.0) -> None:
         time.sleep(0.05)
 
 
+def test_a_first_start_is_no_warning(launch: Callable[..., Process]) -> None:
+    agent = launch("r1", time.monotonic())
+    until(lambda: agent.event("joined"))
+    records = [json.loads(line) for line in agent.messages.read_text().splitlines()]
+    assert any("a new epoch begins" in record["event"] for record in records)
+    assert [record for record in records if record["level"] == "warning" and "no time" not in record["event"]] == []
+
+
 def test_two_agents_from_start_to_end(launch: Callable[..., Process]) -> None:
     at = time.monotonic()
     robots = [launch(robot, at, "--stdin") for robot in ("r1", "r2")]

@@ -159,8 +159,9 @@ class _Process:
             if not refused_by_disk(error):
                 raise
             journal = NoJournal(self.setup.journal, self.setup.robot, error)
+        first = journal.last is None and len(journal.notices) == 1  # a new journal: that an epoch begins is no trouble
         for notice in journal.notices:
-            log.warning(notice)
+            log.log(logging.INFO if first else logging.WARNING, notice)
         return journal
 
     def _disk_takes_entries(self) -> bool:
