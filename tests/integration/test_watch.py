@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -347,6 +348,52 @@ def test_knocking() -> None:
     assert knocked("tcp/127.0.0.1:1") == "tcp/127.0.0.1:1: the machine is there, no agent listens"
 
 
+def test_a_robot_that_lives_in_an_epoch_it_has_outlived_is_told_of_while_it_lasts(lab: type) -> None:
+    """By doctor, by the monitor and in its own log; then it has begun a new one by itself, and all is well."""
+    team = lab()
+    for robot in ROBOTS:
+        team.start(robot)
+    team.run(8.0)
+    team.stop("r1")
+    team.start("r1", journal="another.journal")
+    team.run(8.0)
+    team.stop("r1")
+    team.start("r1")
+    outlived = team.agents["r1"].journal.epoch
+    team.run(3.0)
+    assert team.agents["r1"].journal.epoch == outlived
+    assert any("own epoch has ended" in problem for problem in team.problems())
+    assert team.state()["robots"]["r1"]["lives_twice"] == ["own epoch has ended"]
+    team.run(8.0)
+    r1 = team.agents["r1"]
+    assert r1.journal.epoch != outlived
+    (fields,) = [fields for event, fields in r1.remarks if "epoch" in event]
+    assert (fields["ended"], fields["epoch"]) == (f"{outlived:016x}", f"{r1.journal.epoch:016x}")
+    assert any(rejection.reason is Reason.ENDED for rejection in r1.rejections), "the log says who showed what"
+    assert team.state()["robots"]["r1"]["lives_twice"] == []
+    team.run(20.0)
+    for robot, agent in team.agents.items():
+        report = agent.estimate(team.air.now + STEP)
+        assert all(peer.age < 1.0 for peer in report.peers.values()), robot
+
+
+def test_two_contents_under_one_name_are_named(lab: type) -> None:
+    team = lab()
+    for robot in ROBOTS:
+        team.start(robot)
+    team.run(5.0)
+    for path in team.folder.glob("r2.journal*"):
+        shutil.copy(path, path.with_name(path.name.replace("r2", "copy")))
+    team.run(5.0)
+    team.stop("r2")
+    team.start("r2", journal="copy.journal")
+    team.run(1.5)
+    assert "two of one name: r2" in team.agents["r1"].estimate(team.air.now + STEP).rejected
+    team.run(10.0)
+    assert team.agents["r2"].remarks
+    assert {"r2"} <= set(team.agents["r1"]._gossip.live(team.air.now))
+
+
 def test_a_peer_whose_name_is_markup_is_shown_as_it_is() -> None:
     said = {
         "s_ago": 0.1, "sent_bytes_per_s": 1.0, "loss": {},
@@ -355,7 +402,7 @@ def test_a_peer_whose_name_is_markup_is_shown_as_it_is() -> None:
     }  # fmt: skip
     robot = {
         "says": said, "clock": {"ahead_s": None}, "same_team_file": True, "heard_s_ago": 0.1, "present": True,
-        "rejected_here": {},
+        "rejected_here": {}, "lives_twice": [],
     }  # fmt: skip
     console = Console(record=True, width=100, file=io.StringIO())
     console.print(tables({"team": "lab", "robots": {"r1": robot}, "strangers": [], "nameless": 0}, None))

@@ -84,6 +84,7 @@ def robot(name: str, text: str) -> dict[str, object]:
     }  # fmt: skip
     return {
         "present": False, "heard_s_ago": 9.0, "epoch": text, "same_team_file": False, "rejected_here": {text: 2},
+        "lives_twice": [text],
         "clock": {"ahead_s": 0.0, "sigma_s": None}, "says": says, "name": name,
     }  # fmt: skip
 

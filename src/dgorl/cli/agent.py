@@ -62,7 +62,12 @@ def _parser() -> argparse.ArgumentParser:
     add("--robot", required=True, metavar="NAME", help="this robot; the team file lists it")
     add("--team", required=True, type=Path, metavar="FILE", help="team.yaml, the same on all robots")
     add("--key", type=Path, metavar="FILE", help="its signing key; `dgorl keys` makes one")
-    add("--journal", type=Path, metavar="FILE", help="where it remembers, across restarts (default: NAME.journal)")
+    add(
+        "--journal",
+        type=Path,
+        metavar="FILE",
+        help="where it remembers (default: ~/.local/state/dgorl/TEAM/NAME.journal)",
+    )
     add(
         "--sync",
         choices=("full", "normal"),
@@ -100,6 +105,7 @@ def _setup(options: argparse.Namespace) -> Setup:
     from dgorl.configuration import nearest
     from dgorl.errors import ConfigurationError
     from dgorl.team.fault_file import read_faults
+    from dgorl.team.journal_place import state_journal
     from dgorl.team.lines import LinesIn
     from dgorl.team.pace import Pace, begin
     from dgorl.team.process import Setup
@@ -123,7 +129,7 @@ def _setup(options: argparse.Namespace) -> Setup:
     return Setup(
         robot=options.robot,
         team=team,
-        journal=options.journal or Path(f"{options.robot}.journal"),
+        journal=options.journal or state_journal(team.team, options.robot),
         key=options.key,
         synchronous=options.sync,
         stdin=stdin if options.stdin else None,

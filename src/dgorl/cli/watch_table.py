@@ -91,6 +91,7 @@ def remarks(state: Mapping[str, Any]) -> list[str]:
         rejected = ", ".join(f"{count} × {reason}" for reason, count in robot["rejected_here"].items())
         if rejected:
             what.append(f"not believed: {rejected}")
+        what.extend(robot["lives_twice"])
         if what:
             lines.append(f"{name}: {'; '.join(what)}")
     if state["strangers"]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from dgorl.team.bundles import Sealed
 from dgorl.team.journal import Journal
+from dgorl.team.journal_place import make_folder
 from dgorl.team.journal_schema import JournalError
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
@@ -67,9 +68,10 @@ def room(journal: Path) -> bool:
     """Whether the disk takes as much as a journal needs to begin."""
     probe = journal.with_name(journal.name + "-probe")
     try:
+        make_folder(journal)
         probe.write_bytes(bytes(LEAST))
         return True
-    except OSError:
+    except (JournalError, OSError):
         return False
     finally:
         with suppress(OSError):

@@ -23,6 +23,7 @@ from dgorl.team.footprint import keep_small
 from dgorl.team.interfaces import Advice, Interfaces, addresses
 from dgorl.team.journal import Journal, Synchronous
 from dgorl.team.journal_none import NoJournal, refused_by_disk, room
+from dgorl.team.journal_place import make_folder
 from dgorl.team.journal_schema import JournalError
 from dgorl.team.json_logs import tell_repeats
 from dgorl.team.keys import UNSIGNED, KeyFileError, Signer, load_key
@@ -304,6 +305,7 @@ def _journal(setup: Setup, now: float) -> Journal:
 
 def _opened(setup: Setup) -> Journal:
     configuration = setup.team.configuration
+    make_folder(setup.journal)
     window = UNBOUNDED if configuration.window == "all" else float(configuration.window)
     return Journal.open(
         setup.journal,

@@ -62,6 +62,7 @@ def _robot(
         "same_team_file": same,
         "clock": {"ahead_s": _rounded(ahead, 4), "sigma_s": _rounded(sigma, 4)},
         "rejected_here": dict(seen.rejected),
+        "lives_twice": seen.rejects,
         "says": None if seen.bulletin is None else _bulletin(seen.bulletin, now - seen.told),
     }
 

@@ -52,6 +52,8 @@ class Seen:
     digest: Digest | None = None
     earlier: Bulletin | None = None
     bulletin: Bulletin | None = None
+    before: Bulletin | None = None
+    """the bulletin before that one"""
     told: float = -inf
     """when the bulletin came [s]"""
     rejected: Counter[str] = field(default_factory=Counter)
@@ -61,6 +63,14 @@ class Seen:
     def live(self, now: float) -> bool:
         """Whether it was heard lately."""
         return now - self.heard < LIVE
+
+    @property
+    def rejects(self) -> list[str]:
+        """What it counted between its last two bulletins of what says that one robot lives twice."""
+        known = self.before.rejected if self.before else {}
+        now = self.bulletin.rejected if self.bulletin and self.before else {}
+        grown = [reason for reason, count in now.items() if count > known.get(reason, 0)]
+        return [reason for reason in grown if reason.partition(": ")[0] in (Reason.ENDED, Reason.CONFLICT)]
 
     @property
     def ahead(self) -> float | None:
@@ -146,4 +156,4 @@ def _remember(seen: Seen, said: Digest | Bulletin, at: float) -> None:
             seen.digest = said
     elif seen.bulletin is None or said.stamp > seen.bulletin.stamp:
         seen.earlier = seen.earlier or said
-        seen.bulletin, seen.told = said, at
+        seen.bulletin, seen.before, seen.told = said, seen.bulletin, at

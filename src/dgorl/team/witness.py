@@ -52,12 +52,13 @@ class Witness:
 
     def lived(self, bundle: Bundle, now: float) -> bool:
         """A bundle of another epoch of this robot; whether it tells of a life after the own epoch's beginning."""
-        if bundle.cut <= self._born or bundle.sequence <= self._highest.get(bundle.epoch, -1):
+        if bundle.cut <= self._born:
             return False
-        self._highest[bundle.epoch] = bundle.sequence
-        if len(self._highest) > EPOCHS:
-            del self._highest[next(iter(self._highest))]
-        self._heard = now
+        if bundle.sequence > self._highest.get(bundle.epoch, -1):
+            self._highest[bundle.epoch] = bundle.sequence
+            if len(self._highest) > EPOCHS:
+                del self._highest[next(iter(self._highest))]
+            self._heard = now
         return True
 
     def twin(self, now: float) -> bool:
