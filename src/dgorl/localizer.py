@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from math import ceil
 
 import numpy as np
@@ -10,13 +10,17 @@ import numpy as np
 from dgorl.configuration import Configuration
 from dgorl.doubts import LONGEST
 from dgorl.estimate import Estimate
-from dgorl.expansion.step import SPACING
+from dgorl.expansion.hypotheses import Cluster
+from dgorl.expansion.sides import just_passed, sides
+from dgorl.expansion.step import SPACING, Step
 from dgorl.expansion.ticks import hypotheses_now
 from dgorl.history import LATE, History
+from dgorl.marginal import stretches
 from dgorl.measurements import LARGEST, ClockKey, ClockReading, Measurement
 from dgorl.nodes import Memo, Node
 from dgorl.stages import FORMATION, OPTIMISATION, stage
 from dgorl.team_state import TeamState, team_state
+from dgorl.tracks import TrackKey
 from dgorl.view import ClusterNow, TeamNow, View
 from dgorl.window import Component, grow
 
@@ -95,20 +99,22 @@ class Team:
 
     def _carried_on(self, node: Node, low: float, now: float) -> TeamNow:
         liars = node.inconsistent
-        clusters = [
-            ClusterNow(
-                tuple(hypotheses_now(self.history, c, now)),
-                c.motion,
-                c.named | (liars & c.tracks),
-                [pair for pair in c.sure if not liars & set(pair)],
-            )
-            for c in node.clusters
-        ]
+        joined, reopened = self._joined(node.components, node, low, now)
+        clusters = [self._cluster(c, now, liars) for c in [*node.clusters, *reopened]]
         return TeamNow(
-            tuple(self._joined(node.components, node, low, now)),
+            tuple(joined),
             tuple(cluster for cluster in clusters if cluster.hypotheses),
             liars,
-            tuple(self._joined(node.doubted.values(), node, low, now)) if node.doubted else (),
+            tuple(state for _, state in self._optimised(node.doubted.values(), node, low, now)) if node.doubted else (),
+        )
+
+    def _cluster(self, cluster: Cluster, now: float, liars: frozenset[TrackKey]) -> ClusterNow:
+        return ClusterNow(
+            tuple(hypotheses_now(self.history, cluster, now)),
+            cluster.motion,
+            cluster.named | (liars & cluster.tracks),
+            [pair for pair in cluster.sure if not liars & set(pair)],
+            cluster.passing,
         )
 
     def _rewind(self, since: float) -> None:
@@ -133,16 +139,40 @@ class Team:
                 looked_back = max(history, float(self.configuration.window), LONGEST)
                 self.history.forget(now - history - looked_back - RETAINED - 2 * SPACING)
 
-    def _joined(self, components: Iterable[Component], node: Node, low: float, now: float) -> list[TeamState]:
-        """The components of more than one member, optimised once more."""
-        states = []
+    def _joined(
+        self, components: Sequence[Component], node: Node, low: float, now: float
+    ) -> tuple[list[TeamState], list[Cluster]]:
+        """The components optimised once more, those in which a passing since the node leaves two sides as clusters."""
+        states, reopened = [], []
+        for component, state in self._optimised(components, node, low, now):
+            cluster = self._reopened(component, state, node, now)
+            if cluster is None:
+                states.append(state)
+            else:
+                reopened.append(cluster)
+        return states, reopened
+
+    def _reopened(self, component: Component, state: TeamState, node: Node, now: float) -> Cluster | None:
+        """The component as a cluster, if robots passed one another about the node or since and the side is open."""
+        since, window, poses = node.stamp - SPACING, state.window, state.solution.poses
+        if window.world is not None or not just_passed(window.layout, poses, since):
+            return None
+        step = Step(self.history, {t.key: t for t in self.history.tracks}, now, node.since)
+        try:
+            return sides(step, Component(stretches(window, poses, None), component.priors, component.links), since)[1]
+        except ValueError:  # the graph leaves a pose undetermined
+            return None
+
+    def _optimised(
+        self, components: Iterable[Component], node: Node, low: float, now: float
+    ) -> Iterator[tuple[Component, TeamState]]:
+        """The components of more than one member, and as they are optimised once more."""
         for component in grow(self.history, components, low, now, node.since):
             if len(component.stretches) > 1:
                 try:
-                    states.append(team_state(self.history, component, low, now))
+                    yield component, team_state(self.history, component, low, now)
                 except ValueError:  # the graph leaves a pose undetermined: its members stay unjoined
                     continue
-        return states
 
 
 class Localizer:

@@ -13,8 +13,8 @@ from math import ceil, floor, inf
 
 from dgorl.consistency import Suspect, suspects
 from dgorl.doubts import Doubt
-from dgorl.expansion.beam import retried
 from dgorl.expansion.hypotheses import Cluster
+from dgorl.expansion.sides import REMEMBERED, sides
 from dgorl.expansion.step import SPACING, Step
 from dgorl.history import History
 from dgorl.marginal import settled, without
@@ -126,9 +126,16 @@ class Memo:
         suspects: dict[TrackKey, Suspect] = {}
         doubted: dict[TrackKey, Component] = {}
         broken: set[TrackKey] = set()
+        opened: list[Cluster] = []
         for component in grow(self._history, node.components, low, g, since):
             try:
-                whole, seen, rest = self._optimised(component, low, g, boundary, since, node.suspects)
+                if len(component.tracks) > 1 and not component.has_world:
+                    component, cluster = sides(Step(self._history, tracks, g, since), component, g - REMEMBERED)
+                    if cluster is not None:
+                        opened.append(cluster)
+                        found += [alone(tracks[key], max(low, since.get(key, low)), g) for key in component.tracks]
+                        continue
+                whole, seen, rest = self._optimised(component, low, g, boundary, node.suspects)
             except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
                 found += [alone(tracks[key], low, g) for key in component.tracks]
                 continue
@@ -142,7 +149,7 @@ class Memo:
             if seen is not None:
                 suspects[seen.key] = seen
                 doubted |= {seen.key: rest} if rest is not None and len(rest.tracks) > 1 else {}
-        clusters = [cluster for cluster in node.clusters if not cluster.tracks & broken]
+        clusters = [*opened, *(cluster for cluster in node.clusters if not cluster.tracks & broken)]
         cast = {key: stamp for key, stamp in node.outcasts.items() if key in tracks}
         with stage(EXPANSION):
             expansion = Expansion(self._history, g, low, boundary)
@@ -169,15 +176,11 @@ class Memo:
         low: float,
         g: float,
         boundary: float,
-        since: Mapping[TrackKey, float],
         before: Mapping[TrackKey, Suspect],
     ) -> tuple[Component, Suspect | None, Component | None]:
         """A component settled at g; who does not fit it, if anybody, and the component without that member."""
         if len(component.stretches) < 2:
             return component, None, None
-        if len(component.tracks) > 1 and not component.has_world:
-            tracks = {track.key: track for track in self._history.tracks}
-            component = retried(Step(self._history, tracks, g, since), component)
         done = settled(self._history, component, low, g, boundary)
         found = suspects(done.window, done.poses, g, before)
         if not found:

@@ -69,14 +69,16 @@ def turned_since(history: History, peer: Track, covariance: Array, now: float) -
     return bool(rest <= radians(history.configuration.status.heading) ** 2)
 
 
-def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion) -> str:
-    """Why a peer is not joined, in words that do not change with every tick."""
+def ambiguous_reason(places: tuple[PeerHypothesis, ...], motion: Motion, passing: tuple[str, str] | None = None) -> str:
+    """Why a peer is not joined, in words that do not change with every tick; passing: who have met, if that is why."""
     if motion == "still":
         return "no robot has moved: ranges alone do not tell where it is"
     if motion == "straight":
         return f"{MIRROR} not known: every robot has driven straight"
     if motion == "uncertain":
         return f"{MIRROR} not known: odometry is too uncertain to tell how the robots drove"
+    if passing is not None:
+        return f"{passing[0]} and {passing[1]} have passed one another: on which side is not known yet"
     return "several places fit" if len(places) > 1 else "one place fits, not yet for long enough to be sure"
 
 

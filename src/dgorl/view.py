@@ -49,6 +49,8 @@ class ClusterNow:
     """tracks that no hypothesis explains"""
     sure: Sequence[tuple[TrackKey, TrackKey]] = ()
     """pairs that are located though not joined"""
+    passing: tuple[TrackKey, TrackKey] | None = None
+    """who have passed one another, when the side they took is open"""
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,10 @@ class View:
             if unfit is not None:
                 reason, help_ = inconsistent(unfit)
             else:
-                reason, help_ = ambiguous_reason(places, motion), "check the units and covariances of the odometry"
+                met = self._cluster.passing if self._cluster is not None else None
+                robots = (met[0].robot, met[1].robot) if met is not None else None
+                reason = ambiguous_reason(places, motion, robots)
+                help_ = "check the units and covariances of the odometry"
                 if motion != "uncertain":
                     mirror = motion == "straight"
                     reason = after_gap(self._history, (track, self._own), reason)

@@ -27,7 +27,7 @@ from dgorl.expansion.hypotheses import (
     probabilities,
     settled_pair,
 )
-from dgorl.expansion.passing import passed
+from dgorl.expansion.passing import passed, passings
 from dgorl.expansion.step import Group, Step, internal_links
 from dgorl.history import WORLD_KEY
 from dgorl.marginal import marginalized, stretches
@@ -50,12 +50,6 @@ DRAFTS, IMPROVED, STARTS = 20, 7, 3
 
 WARM = 6
 """Warm particles of the best hypothesis."""
-
-REMEMBERED = 30.0
-"""For so long [s] the side on which two joined robots have passed one another is not taken for granted."""
-
-BETTER = 1e-3
-"""Cost by which another optimum of a joined component has to be lower to take its place."""
 
 
 def expanded(step: Step, before: Cluster | None, components: Sequence[Component], since: float) -> Cluster:
@@ -84,28 +78,9 @@ def expanded(step: Step, before: Cluster | None, components: Sequence[Component]
         optima = _searched(graph, coarse, None, starts)
         starts = starts[:0]
     optima = _searched(graph, coarse, optima, np.concatenate([starts, _near(step, graph, optima)]))
-    other = passed(graph, optima.poses[0], base)
+    other = passed(graph, optima.poses[0], passings(graph.window.layout, optima.poses[0], base))
     optima = distinct(both(optima, graph.optimize(other))) if len(other) else optima
-    return _cluster(step, graph, optima, union, base, before)
-
-
-def retried(step: Step, component: Component) -> Component:
-    """A joined component, moved to the optimum on the other side of a passing if that is the better one.
-
-    What tells the side may come after the robots have met.
-    """
-    groups = [(key,) for key in component.tracks]
-    base = min(component.stretches[key].first for key in component.tracks)
-    graph = cluster_graph(step.history, component, groups, base, step.g)
-    known = graph.start(component)
-    starts = passed(graph, known, floor((step.g - REMEMBERED) * KEYFRAMES_PER_SECOND))
-    if not len(starts):
-        return component
-    found = graph.optimize(np.concatenate([known[None], starts]))
-    best = int(np.argmin(found.cost))
-    if not found.cost[best] < found.cost[0] - BETTER:
-        return component
-    return Component(stretches(graph.window, found.poses[best], None), component.priors, component.links)
+    return beam(step, graph, optima, union, base, before)
 
 
 def _near(step: Step, graph: ClusterGraph, optima: Optima) -> Array:
@@ -164,7 +139,7 @@ def _union(components: Sequence[Component]) -> Component:
     return Component(stretches, tuple(prior for component in components for prior in component.priors))
 
 
-def _cluster(
+def beam(
     step: Step, graph: ClusterGraph, optima: Optima, union: Component, base: int, before: Cluster | None
 ) -> Cluster:
     """The beam of these optima as a cluster."""
@@ -190,7 +165,11 @@ def _cluster(
             agreed[keys[a], keys[b]] = 1 + (0 if before is None else before.agreed.get((keys[a], keys[b]), 0))
     known = {} if before is None else before.unfit
     misfits = {key: 1 + known.get(key, 0) for key in sorted(unfit(graph.window, optima.poses[0], step.g, graph.bodies))}
-    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, _motion(step, graph, optima.poses[0]), misfits)
+    motion = _motion(step, graph, optima.poses[0])
+    passing = None if before is None else before.passing
+    if passing is not None and not set(passing) <= set(keys):
+        passing = None
+    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, motion, misfits, passing)
 
 
 def _mass(step: Step, groups: Sequence[Group], recent: Component) -> float:

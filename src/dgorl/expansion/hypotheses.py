@@ -73,6 +73,8 @@ class Cluster:
     """what all tracks have in common that leaves them ambiguous"""
     unfit: Mapping[TrackKey, int] = field(default_factory=dict)
     """tracks that do not fit the best hypothesis, and for how many nodes in a row: nobody is joined to them"""
+    passing: tuple[TrackKey, TrackKey] | None = None
+    """who have passed one another so that the side they took is why they are not joined any more"""
 
     @property
     def tracks(self) -> frozenset[TrackKey]:
