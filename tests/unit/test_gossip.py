@@ -387,3 +387,6 @@ def test_what_waits_is_bounded() -> None:
             admission.candidate(("r2", epoch)).add(Sealed(b"", Bundle("t", "r2", epoch, number, 0, 0.0)))
     assert list(admission.candidates["r2"]) == [96, 97, 98, 99]
     assert list(admission.candidate(("r2", 99)).numbers) == [(36, 99)]
+    for number in range(100, 200):
+        admission.candidate(("r2", 99)).add(Sealed(bytes(8000), Bundle("t", "r2", 99, number, 0, 0.0)))
+    assert list(admission.candidate(("r2", 99)).numbers) == [(188, 199)], "by bytes, too"

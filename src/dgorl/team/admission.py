@@ -19,8 +19,8 @@ from dgorl.team.ranges import Ranges
 CANDIDATES = 4
 """So many epochs of a robot wait for admission at once."""
 
-WAITING = 64
-"""So many bundles of a waiting epoch are kept."""
+WAITING, WAITING_BYTES = 64, 100_000
+"""So many bundles of a waiting epoch are kept, and so many bytes of them: opened, they take 25 times as much."""
 
 HEARINGS = 256
 """So many waiting epochs a live one may tell of."""
@@ -31,17 +31,21 @@ class Candidate:
 
     def __init__(self) -> None:
         self.bundles: dict[int, Sealed] = {}
+        self._bytes = 0
         self.tells: dict[Key, float] = {}
         """live epoch → latest send stamp it was heard with [s], that epoch's clock"""
 
     def add(self, sealed: Sealed) -> None:
         """Keep a bundle, the oldest makes way."""
+        if sealed.bundle.sequence in self.bundles:
+            return
         self.bundles[sealed.bundle.sequence] = sealed
         for reading in sealed.bundle.clocks:
             live = reading.peer, reading.peer_epoch
             self.tells[live] = max(reading.sent, self.tells.get(live, reading.sent))
-        if len(self.bundles) > WAITING:
-            del self.bundles[min(self.bundles)]
+        self._bytes += len(sealed.data)
+        while len(self.bundles) > WAITING or self._bytes > WAITING_BYTES:
+            self._bytes -= len(self.bundles.pop(min(self.bundles)).data)
         while len(self.tells) > HEARINGS:
             del self.tells[next(iter(self.tells))]
 

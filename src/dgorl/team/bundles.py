@@ -57,6 +57,11 @@ class Sealed:
     data: bytes
     bundle: Bundle
 
+    @property
+    def name(self) -> Name:
+        """The bundle's."""
+        return self.bundle.name
+
 
 def track_epoch(epoch: int, track: int) -> int:
     """The ``Odometry.epoch`` of a track: 53 bits of a hash of epoch and track."""

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from dgorl.measurements import RelativePose
 from dgorl.team.bundles import Sealed
 from dgorl.team.envelope import Rejected, unwrap
-from dgorl.team.journal_entries import Entries, Memory
+from dgorl.team.journal_entries import Entries, Entry, Memory
 from dgorl.team.journal_file import opened
 from dgorl.team.journal_mark import Mark, State, boot
 from dgorl.team.journal_schema import LARGEST_BUNDLE, JournalError, Run, hexadecimal
@@ -41,7 +41,7 @@ Synchronous = Literal["full", "normal"]
 QUEUE = 20_000
 """While the disk refuses, so many bundles and ticks wait at most; then the oldest are lost to the journal."""
 
-_Tick = tuple[float, tuple[Sealed, ...]]
+_Tick = tuple[float, tuple[Entry, ...]]
 
 
 class Journal:
@@ -70,7 +70,7 @@ class Journal:
         """Use :meth:`open`."""
         self.path, self.robot = path, robot
         self._mark, self._keep, self._limit, self._synchronous = mark, keep, limit, synchronous
-        self._queue: deque[Sealed | _Tick] = deque(maxlen=QUEUE)
+        self._queue: deque[Entry | _Tick] = deque(maxlen=QUEUE)
         state = mark.read()
         epoch = secrets.randbits(64)
         facts = {"team": roster.team, "robot": robot, "epoch": hexadecimal(epoch)}
@@ -144,11 +144,11 @@ class Journal:
 
     def receive(self, sealed: Sealed) -> None:
         """Queue a bundle that came from another robot."""
-        self._queue.append(sealed)
+        self._queue.append(Entry(sealed.name, sealed.data))
 
     def tick(self, now: float, admitted: Sequence[Sealed]) -> None:
         """Queue an update at ``now`` [s], before which the estimate was given ``admitted`` in that order."""
-        self._queue.append((now, tuple(admitted)))
+        self._queue.append((now, tuple(Entry(sealed.name, sealed.data) for sealed in admitted)))
         self._now = now
 
     def flush(self) -> None:
@@ -238,7 +238,7 @@ class Journal:
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 for item in self._queue:
-                    if isinstance(item, Sealed):
+                    if isinstance(item, Entry):
                         self._entries.number(item)
                     else:
                         self._entries.add_tick(*item)

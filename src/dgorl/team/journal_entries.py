@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from dgorl.team.bundles import Sealed
+from dgorl.team.bundles import Name, Sealed
 from dgorl.team.journal_schema import Kind, Run, facts_of, hexadecimal
 
 BATCH = 500
@@ -34,6 +34,13 @@ class Memory(NamedTuple):
     written: int
 
 
+class Entry(NamedTuple):
+    """A bundle as it waits to be written: signed bytes, as opened it takes 25 times the room."""
+
+    name: Name
+    data: bytes
+
+
 class Entries:
     """Rows of the table ``entries``; when they are committed is the caller's. Every method may raise sqlite3.Error."""
 
@@ -49,17 +56,17 @@ class Entries:
         """Own bundles are of this epoch from now on."""
         self._database.execute("UPDATE facts SET value = ? WHERE name = 'epoch'", (hexadecimal(epoch),))
 
-    def add_tick(self, now: float, admitted: Sequence[Sealed]) -> None:
+    def add_tick(self, now: float, admitted: Sequence[Entry]) -> None:
         """An update at ``now`` [s] after bundles were admitted."""
         body = msgspec.msgpack.encode([self.number(sealed) for sealed in admitted])
         self._database.execute(f"INSERT INTO entries (kind, now, body) VALUES ({Kind.TICK}, ?, ?)", (now, body))
 
-    def number(self, sealed: Sealed) -> int:
+    def number(self, sealed: Entry | Sealed) -> int:
         """The number of a bundle's entry, which is made if there is none. The first contents of a name are kept."""
         row = self._database.execute(f"SELECT number FROM entries {NAMED}", _name(sealed)).fetchone()
         return row[0] if row else self._insert(sealed)
 
-    def put(self, sealed: Sealed) -> None:
+    def put(self, sealed: Entry | Sealed) -> None:
         """A bundle in place of another that has its name."""
         self._database.execute(f"DELETE FROM entries {NAMED}", _name(sealed))
         self._insert(sealed)
@@ -136,7 +143,7 @@ class Entries:
         ).fetchone()
         return row[0] if row else 0
 
-    def _insert(self, sealed: Sealed) -> int:
+    def _insert(self, sealed: Entry | Sealed) -> int:
         number = self._database.execute(
             f"INSERT INTO entries (kind, robot, epoch, sequence, body) VALUES ({Kind.BUNDLE}, ?, ?, ?, ?)",
             (*_name(sealed), sealed.data),
@@ -145,7 +152,7 @@ class Entries:
         return number
 
 
-def _name(sealed: Sealed) -> tuple[str, str, int]:
+def _name(sealed: Entry | Sealed) -> tuple[str, str, int]:
     """What finds a bundle's entry. SQLite's integers end at 2^63: epochs are text."""
-    robot, epoch, sequence = sealed.bundle.name
+    robot, epoch, sequence = sealed.name
     return robot, hexadecimal(epoch), sequence
