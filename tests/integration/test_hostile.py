@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from dgorl import Bearing, Configuration, Displacement, Localizer, Odometry, Range, RelativePose, Rssi
 from dgorl.configuration import Motion
+from dgorl.crowds import PER_PAIR
 from dgorl.errors import MeasurementError
 from dgorl.measurements import LARGEST, WORLD
 from tests.integration.test_edges import PRIOR, drive, ranges, start
@@ -138,3 +139,32 @@ def test_values_that_cannot_be_true_are_refused(make, message):
 def test_now_is_a_time(now):
     with pytest.raises(ValueError, match="now must be a time"):
         Localizer("r1").update(now)
+
+
+@pytest.mark.parametrize("exchange", [False, True])
+def test_a_thousand_readings_a_second_weigh_as_fifty_whatever_their_order(exchange):
+    """A member says a thousand times how far it is; who hears it in another order estimates the same to the bit."""
+
+    def told(order: list[int]) -> tuple[Localizer, list[bytes]]:
+        localizer = Localizer("r1")
+        for robot, x in (("r1", 0.0), ("r2", 3.0), ("r3", 5.0)):
+            localizer.add(start(robot, x, 0.0, 0.0))
+            for odometry in drive(robot, 0, 12):
+                localizer.add(odometry)
+        for measurement in (*ranges("r1", "r2", 0.5, 12, 3.0), *ranges("r1", "r3", 0.5, 12, 5.0)):
+            localizer.add(measurement)
+        found = []
+        for now in (8.0, 12.0):
+            for k in order:
+                stamp = 5.0 + k / 1000
+                if now - 4.0 < stamp <= now:
+                    localizer.add(Range("r2", "r1", stamp, 3.0 + 0.1 * (k % 7), 0.1, k // 3 if exchange else None))
+            found += [estimate.pose.tobytes() for estimate in localizer.update(now).values()]
+        return localizer, found
+
+    numbers = list(range(1, 5001))
+    localizer, expected = told(numbers)
+    table = localizer.team.history.tables["range"]
+    assert len(table) <= 2 * 24 + 5 * PER_PAIR
+    shuffled = np.random.default_rng(3).permutation(numbers).tolist()
+    assert told(shuffled)[1] == expected
