@@ -35,6 +35,19 @@ class _Plain(yaml.SafeLoader):
             raise yaml.MarkedYAMLError(problem=str(error), problem_mark=node.start_mark) from error
 
 
+class _PlainDumper(yaml.SafeDumper):
+    """Writes a value out wherever it stands, also one that stands in two places."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def yaml_text(value: Any) -> str:
+    """A value as plain YAML; :func:`plain_yaml` gives it back."""
+    text: str = yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    return text
+
+
 def plain_yaml(text: str) -> tuple[Any, yaml.Node | None]:
     """The value of a text, and its node, which knows the lines. Raises PlainYamlError, whatever the text."""
     try:

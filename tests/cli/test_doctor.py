@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from .commandline import Dgorl
+from .commandline import ENVIRONMENT, Dgorl, command
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +69,18 @@ def test_what_cannot_be_read(dgorl: Dgorl, tmp_path: Path) -> None:
     assert f"✗ journal {tmp_path / 'gone.journal'}: no such file" in done.stdout
     assert f"✗ network {bad}:2: `robots` must map names to keys" in done.stdout
     assert "dgorl: 3 problems found" in done.stderr
+
+
+def test_a_machine_without_a_network_is_told_so(tmp_path: Path) -> None:
+    """In a network namespace that has nothing but loopback."""
+    (tmp_path / "team.yaml").write_text("team: lab\ninsecure: true\nrobots: [r1, r2]\ntransport: {multicast: true}\n")
+    apart = ["unshare", "-rn"]
+    try:
+        if done := subprocess.run([*apart, "true"], capture_output=True, text=True, check=False).stderr:
+            pytest.skip(f"no network namespaces here: {done.strip()}")
+    except FileNotFoundError:
+        pytest.skip("no network namespaces here: no unshare")
+    words = [*apart, *command("doctor", "--team", tmp_path / "team.yaml", "--seconds", "0.5")]
+    said = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=120, check=False)
+    assert said.returncode == 1
+    assert "✗ network this machine has no network: no interface has an address" in said.stdout

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dgorl.configuration import load
 from dgorl.errors import DgorlError
 from dgorl.logs.team import read_team
-from dgorl.plain_yaml import PlainYamlError, plain_yaml
+from dgorl.plain_yaml import PlainYamlError, plain_yaml, yaml_text
 from dgorl.team.team_file import TeamFile
 
 READERS = (load, read_team, TeamFile.read)
@@ -41,6 +41,12 @@ def test_errors_name_file_and_line(
         reader(path)
     assert str(caught.value).startswith(f"{path}:{line}: not YAML")
     assert what in str(caught.value)
+
+
+def test_what_is_written_can_be_read() -> None:
+    pose = [1.0, 2.5, 0.0]
+    value = {"start": {"r1": pose, "r2": pose}, "again": {"r1": pose}}
+    assert plain_yaml(yaml_text(value))[0] == value
 
 
 @given(st.text(alphabet="ab1:-[]{}&*!?|>'\"#,\n \t.\\<~\x00\x85", max_size=40))

@@ -15,7 +15,7 @@ from dgorl.configuration import Configuration, as_dict, merge, nearest
 from dgorl.errors import ConfigurationError, LogError, brief, quoted
 from dgorl.logs.text import text_of
 from dgorl.measurements import WORLD
-from dgorl.plain_yaml import PlainYamlError, plain_yaml
+from dgorl.plain_yaml import PlainYamlError, plain_yaml, yaml_text
 
 SECTIONS = ("antennas", "radio", "ranging", "bearings", "motion")
 """Sections of the configuration a log may state about itself."""
@@ -68,7 +68,7 @@ def team_text(team: Team) -> str:
         everyone = set(team.start_stamp) == set(team.start or {})
         data["start_stamp"] = stamps.pop() if len(stamps) == 1 and everyone else dict(team.start_stamp)
     data |= as_dict(dict(team.configuration))
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    return yaml_text(data)
 
 
 class _Reader:

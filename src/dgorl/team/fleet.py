@@ -14,12 +14,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dgorl.configuration import Configuration, as_dict
 from dgorl.errors import DgorlError
 from dgorl.logs.log import Log, Start
 from dgorl.measurements import Displacement, Measurement, Odometry, known_at, robots_of
+from dgorl.plain_yaml import yaml_text
 from dgorl.team.agent_process import AgentProcess
 from dgorl.team.fault_file import FaultFile
 from dgorl.team.intake import Moved, line_of
@@ -172,7 +171,7 @@ def prepare(fleet: Fleet) -> None:
         "transport": {"addresses": {r: f"tcp/127.0.0.1:{port}" for r, port in zip(keys, ports, strict=True)}},
         **as_dict(fleet.configuration),
     }
-    text = yaml.safe_dump(team, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    text = yaml_text(team)
     (folder / "team.yaml").write_text(text, encoding="utf-8")
     if fleet.faults is not None:
         fleet.faults.write(folder / "faults.json")
