@@ -6,6 +6,7 @@ unshare -rm python small_disk.py FOLDER COMMAND...
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ def main() -> None:
         except OSError:
             pass
     process = subprocess.Popen(command, stdin=subprocess.PIPE)
+    signal.signal(signal.SIGTERM, lambda *_: process.terminate())
     sensors = os.fdopen(sys.stdin.fileno(), "rb", buffering=0)
     for line in sensors:
         if line.strip() == b"room":
