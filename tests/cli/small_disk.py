@@ -5,10 +5,10 @@ unshare -rm python small_disk.py FOLDER COMMAND...
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -24,14 +24,16 @@ def main() -> None:
             pass
     process = subprocess.Popen(command, stdin=subprocess.PIPE)
     signal.signal(signal.SIGTERM, lambda *_: process.terminate())
-    sensors = os.fdopen(sys.stdin.fileno(), "rb", buffering=0)
-    for line in sensors:
+    for line in iter(sys.stdin.buffer.readline, b""):
         if line.strip() == b"room":
             filled.unlink()
         else:
-            process.stdin.write(line)
-            process.stdin.flush()
+            with suppress(BrokenPipeError):
+                process.stdin.write(line)
+                process.stdin.flush()
     process.terminate()
+    with suppress(BrokenPipeError):
+        process.stdin.close()
     sys.exit(process.wait())
 
 
