@@ -1,6 +1,6 @@
 """Run a live team on this machine: an agent process a robot, fed from a log or the simulator, on a bad network.
 
-Example: dgorl fleet --simulate --rate 10 --loss 0.2 --partition "r1,r2|r3,r4,r5:10-20" --out out/fleet
+Example: dgorl fleet --simulate --simulation.sensors range --simulation.area 20 --rate 2 --loss 0.2 --out out/fleet
 """
 
 from __future__ import annotations
