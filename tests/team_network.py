@@ -117,7 +117,16 @@ class Network:
         made = max([made, *(bundle.sequence + 1 for bundle in own)])
         born = min((bundle.cut for bundle in own), default=air.local(self.air.now))
         gossip = Gossip(
-            name, epoch, self.roster, signer, CONFIGURATION, history=self.history, born=born, made=made, before=before
+            name,
+            epoch,
+            self.roster,
+            signer,
+            CONFIGURATION,
+            history=self.history,
+            born=born,
+            made=made,
+            began=air.local(self.air.now),
+            before=before,
         )
         gossip.restore(list(known.values()), admitted, air.local(self.air.now))
         bundler = Bundler(TEAM, name, epoch, sequence=made)

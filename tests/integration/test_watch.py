@@ -72,7 +72,7 @@ class Team:
             self.air.now += STEP
             for robot, agent in self.agents.items():
                 now = self.air.now + self.offsets[robot]
-                agent.take(Odometry(robot, now - STEP, now, 0.0, 0.0))
+                agent.take(Odometry(agent.robot, now - STEP, now, 0.0, 0.0))
                 agent.step(now)
             messages = self.ears.poll()
             self.heard += messages
@@ -348,28 +348,29 @@ def test_knocking() -> None:
     assert knocked("tcp/127.0.0.1:1") == "tcp/127.0.0.1:1: the machine is there, no agent listens"
 
 
-def test_a_robot_that_lives_in_an_epoch_it_has_outlived_is_told_of_while_it_lasts(lab: type) -> None:
-    """By doctor, by the monitor and in its own log; then it has begun a new one by itself, and all is well."""
+def test_a_robot_whose_epoch_has_ended_is_told_of_while_it_lasts(lab: type) -> None:
+    """Another machine lives under its name: doctor, monitor and its log say so. When that is gone, all is well."""
     team = lab()
     for robot in ROBOTS:
         team.start(robot)
     team.run(8.0)
-    team.stop("r1")
+    team.agents["first"], team.offsets["first"] = team.agents["r1"], 0.0
     team.start("r1", journal="another.journal")
+    team.agents["twin"], team.offsets["twin"] = team.agents["r1"], 0.0
+    first = team.agents["r1"] = team.agents.pop("first")
+    ended = first.journal.epoch
     team.run(8.0)
-    team.stop("r1")
-    team.start("r1")
-    outlived = team.agents["r1"].journal.epoch
-    team.run(3.0)
-    assert team.agents["r1"].journal.epoch == outlived
+    assert first.journal.epoch == ended
+    assert first._all_rejected()["own epoch has ended"] > 5
+    team.stop("twin")
+    team.run(1.5)
     assert any("own epoch has ended" in problem for problem in team.problems())
     assert team.state()["robots"]["r1"]["lives_twice"] == ["own epoch has ended"]
     team.run(8.0)
-    r1 = team.agents["r1"]
-    assert r1.journal.epoch != outlived
-    (fields,) = [fields for event, fields in r1.remarks if "epoch" in event]
-    assert (fields["ended"], fields["epoch"]) == (f"{outlived:016x}", f"{r1.journal.epoch:016x}")
-    assert any(rejection.reason is Reason.ENDED for rejection in r1.rejections), "the log says who showed what"
+    assert first.journal.epoch != ended
+    (fields,) = [fields for event, fields in first.remarks if "epoch" in event]
+    assert (fields["ended"], fields["epoch"]) == (f"{ended:016x}", f"{first.journal.epoch:016x}")
+    assert any(rejection.reason is Reason.ENDED for rejection in first.rejections), "the log says who showed what"
     assert team.state()["robots"]["r1"]["lives_twice"] == []
     team.run(20.0)
     for robot, agent in team.agents.items():

@@ -80,6 +80,7 @@ class Agent:
             history=team.configuration.history,
             born=now if journal.born is None else journal.born,
             made=journal.next_sequence,
+            began=now,
             before=before,
         )
         self._bulletins = Bulletins(team.team, *key, team.configuration_hash, self._signer)

@@ -95,11 +95,12 @@ class Gossip:
         limits: Limits = LIMITS,
         born: float = inf,
         made: int = 0,
+        began: float = -inf,
         before: Gossip | None = None,
     ) -> None:
         """configuration: 8 bytes, hash of what all must have in common. history: how far back peers catch up [s].
 
-        born, made: of its epoch, see Witness. before: the robot's part in the epoch before, in the same program.
+        born, made, began: of its epoch, see Witness. before: the robot's part in the epoch before, in the same program.
         """
         self.robot, self.epoch = robot, epoch
         self.rejected: Rejections = Rejections() if before is None else before.rejected
@@ -109,7 +110,7 @@ class Gossip:
         self._gate: Gate = Gate(robot, roster, configuration, limits) if before is None else before._gate
         self.witness: Witness = Witness() if before is None else before.witness
         """what the robot's own signature proves of its epoch"""
-        self.witness.begin(born, made)
+        self.witness.begin(born, made, began)
         self._library = Library((robot, epoch), roster, history, limits, self.witness)
         self._circle, self._outbox, self._wants, self._pushes = Circle(), Outbox(), Wants(), Pushes()
         self._neighbours = self._circle.neighbours

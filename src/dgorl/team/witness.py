@@ -28,19 +28,21 @@ class Witness:
     """What the robot's own signature proves. It outlives epochs: a proof serves once.
 
     born: when the epoch began [s], the robot's clock; an earlier epoch has no bundle cut later. made: numbers below
-    this were used before the program began, by this journal. Times are on the robot's clock [s].
+    this were used before the program began, by this journal. began: when the program began, or the epoch if that was
+    later [s]. Times are on the robot's clock.
     """
 
-    def __init__(self, born: float = inf, made: int = 0) -> None:
+    def __init__(self) -> None:
         self._bucket = Bucket(1.0 / PAUSE, BURST)
         self._highest: dict[int, int] = {}
-        self.begin(born, made)
+        self.begin()
 
-    def begin(self, born: float, made: int = 0) -> None:
+    def begin(self, born: float = inf, made: int = 0, began: float = -inf) -> None:
         """An epoch begins."""
-        self._born, self._made = born, made
+        self._born, self._made, self._began = born, made, began
         self._copied = False
         self._heard: float | None = None
+        self._lives = False
 
     def knows(self, sequence: int) -> bool:
         """Whether a bundle of the own epoch that is not here may be one that this journal lost."""
@@ -59,11 +61,12 @@ class Witness:
             if len(self._highest) > EPOCHS:
                 del self._highest[next(iter(self._highest))]
             self._heard = now
+            self._lives |= bundle.cut >= self._began
         return True
 
     def twin(self, now: float) -> bool:
         """Whether another machine lives under this robot's name: then that one counts, until it is silent."""
-        return not self._copied and self._heard is not None and now - self._heard < QUIET
+        return self._lives and not self._copied and self._heard is not None and now - self._heard < QUIET
 
     def ended(self, now: float) -> str:
         """Why a new epoch has to begin now; empty while none has to, or may."""
