@@ -23,7 +23,7 @@ from dgorl import Configuration, Odometry, Range, Rssi, se2
 from dgorl.configuration import merge
 from dgorl.evaluation.metrics import position_error
 from dgorl.evaluation.records import collect
-from dgorl.logs.log import Log, in_order
+from dgorl.logs.log import Log, Start, in_order
 from dgorl.measurements import Measurement
 from dgorl.radio import range_to_rssi
 from dgorl.replay import replay
@@ -99,7 +99,8 @@ def make(team: Team, seed: int, outages: Sequence[Outage]) -> Log:
                     found.append(Rssi(other, name, b, float(range_to_rssi(d, radio)) + 2.0 * noise))
     stamps = STEP * np.arange(len(poses))
     truth = {name: np.column_stack([stamps, poses[:, i]]) for i, name in enumerate(names)}
-    return Log(Path(f"outage{seed}"), names, in_order(found), truth)
+    starts = {name: Start(0.0, tuple(poses[0, i].tolist())) for i, name in enumerate(names)}
+    return Log(Path(f"outage{seed}"), names, in_order(found), truth, starts)
 
 
 def _silent(outages: Sequence[Outage], name: str, stamp: float) -> bool:
@@ -142,7 +143,7 @@ def trial(seed: int, team: Team, outages: Sequence[Outage], window: float, initi
         for o in outages:
             if o.robot in (record.ego, record.peer):
                 later = [p.begin for p in outages if p.begin > o.begin and p.robot in (record.ego, record.peer)]
-                t = record.t[(record.t >= o.end) & located & (record.t < min(later, default=np.inf))]
+                t = record.t[(record.t > o.end) & located & (record.t < min(later, default=np.inf))]
                 found.append(float(t[0] - o.end) if len(t) else np.inf)
     return Result(*counts[0].tolist(), *counts[1].tolist(), inside, found)
 

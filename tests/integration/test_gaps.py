@@ -118,3 +118,14 @@ def test_a_clock_that_steps_inside_a_log_is_not_believed(step: float, seed: int)
         never_wrong(log, estimates)
         honest = watched(log, stamps, ego)
         assert sum(e["r3"].status in KNOWN for e in honest) > 90
+
+
+def test_a_robot_of_flaky_odometry_is_not_lost_for_good() -> None:
+    """1.5 s are missing of every 20 s."""
+    log = wandering(HOMES, 80, seed=12)
+    for begin in range(16, 76, 20):
+        log = silenced(log, ["r2"], begin, begin + 1.5)
+    estimates = watched(log, every(0.5, 80))
+    never_wrong(log, estimates)
+    assert sum(e["r2"].status in KNOWN for e in estimates if e.stamp > 16) > 0.3 * 2 * 64
+    assert sum(e["r3"].status in KNOWN for e in estimates if e.stamp > 16) > 0.95 * 2 * 64
