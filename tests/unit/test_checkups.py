@@ -57,6 +57,11 @@ def test_a_good_log_is_well_and_described() -> None:
     ("odd", "level", "what"),
     [
         (log(), Level.PROBLEM, "lab: has no measurements"),
+        (
+            log(*MOVES, *READINGS, *(Rssi("r1", "r2", 3.0 + k / 80, -60.0 - k) for k in range(1, 80))),
+            Level.NOTE,
+            "rssi: r2 measured r1 up to 80 times in a second, of which 50 count",
+        ),
         (log(*driven("r1"), robots=("r1",)), Level.PROBLEM, "one robot alone"),
         (log(*MOVES), Level.PROBLEM, "no measurement between robots"),
         (log(*MOVES, *heard("r1", "r2")), Level.PROBLEM, "no reading links r3 to the others"),

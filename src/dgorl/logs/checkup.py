@@ -8,6 +8,7 @@ from itertools import pairwise
 from statistics import median
 
 from dgorl.configuration import Configuration, merge
+from dgorl.crowds import PER_PAIR, second
 from dgorl.findings import Finding, note, ok, problem
 from dgorl.logs.clock_steps import clock_steps, path_of
 from dgorl.logs.log import KINDS, Log
@@ -104,8 +105,26 @@ def _contacts(log: Log) -> Iterator[Finding]:
         yield ok(AREA, f"{kind}: {pairs.total()} readings in {len(pairs)} directions, median {rate:.2g} a second each")
     links: set[Pair] = set().union(*heard.values())
     links |= {(b, a) for kind in MUTUAL & heard.keys() for a, b in heard[kind]}
+    yield from _crowds(log)
     yield from _silences(log, links)
     yield from _groups(log.robots, links)
+
+
+def _crowds(log: Log) -> Iterator[Finding]:
+    """Who says more in one second than counts."""
+    seconds: Counter[tuple[str, Pair, int]] = Counter()
+    for measurement in log.measurements:
+        kind = next((name for name, of_kind in KINDS.items() if isinstance(measurement, of_kind)), None)
+        if kind is not None:
+            a, b = robots_of(measurement)
+            seconds[kind, (a, b), second(known_at(measurement))] += 1
+    most: dict[str, tuple[int, Pair]] = {}
+    for (kind, pair, _), count in seconds.items():
+        most[kind] = max(most.get(kind, (0, pair)), (count, pair))
+    for kind, (count, (a, b)) in most.items():
+        if count > PER_PAIR:
+            what = f"{kind}: {a} measured {b} up to {count} times in a second, of which {PER_PAIR} count"
+            yield note(AREA, what, "a sample of them is taken; readings so close share their errors anyway")
 
 
 def _silences(log: Log, links: set[Pair]) -> Iterator[Finding]:
