@@ -82,7 +82,7 @@ class Radio:
     reciprocity: float = 0.0
     """correlation ρ of the two directions of a link, 0 to 1"""
     kernel: Kernel = "none"
-    """robust kernel; the one-sided ones distrust weak readings alone"""
+    """robust kernel; the one-sided ones distrust weak readings alone: one that is far too strong they believe"""
     width: float = 2.0
     """kernel width [σ]"""
     thinning: float = 0.0
@@ -101,8 +101,8 @@ class Ranging:
     """σ at zero distance [m]; null takes each measurement's own"""
     sigma_per_metre: float = 0.0
     """growth of σ with distance [m/m]; used with sigma"""
-    kernel: Kernel = "huber"
-    """robust kernel; the one-sided ones distrust long ranges alone"""
+    kernel: Kernel = "cauchy"
+    """robust kernel; the one-sided ones distrust long ranges alone: one that is far too short they believe"""
     width: float = 2.0
     """kernel width [σ]"""
     thinning: float = 0.0
