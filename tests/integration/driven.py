@@ -13,6 +13,7 @@ from dgorl.configuration import merge
 from dgorl.estimate import Estimate, PeerEstimate
 from dgorl.logs.log import Log, in_order
 from dgorl.measurements import Measurement, known_at
+from dgorl.places import MISSED
 from dgorl.radio import range_to_rssi
 
 Array = np.ndarray
@@ -125,7 +126,7 @@ def explains_itself(peer: PeerEstimate) -> bool:
     if peer.status in KNOWN:
         return peer.pose is not None and bool(np.isfinite(peer.pose).all() and np.isfinite(peer.covariance).all())
     total = sum(place.probability for place in peer.hypotheses)
-    return bool(peer.reason) and (not peer.hypotheses or abs(total - 1.0) < 1e-9)
+    return bool(peer.reason) and (not peer.hypotheses or abs(total - (1.0 - MISSED)) < 1e-9)
 
 
 def bits(estimate: Estimate) -> dict[str, object]:

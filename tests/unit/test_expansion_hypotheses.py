@@ -24,7 +24,8 @@ from dgorl.expansion.hypotheses import (
     probabilities,
     settled_pair,
 )
-from dgorl.places import places_of
+from dgorl.places import EVIDENCE, MISSED, places_of, published
+from dgorl.relative import Relative
 from dgorl.tracks import TrackKey
 from tests.unit.reference import random_information
 
@@ -182,13 +183,14 @@ PEER, OTHER = TrackKey("r2", 0, 0.0), TrackKey("r3", 0, 0.0)
 
 
 def hypothesis(probability: float, x: float, theta: float = 0.0):
-    return probability, {PEER: (np.array([x, 0.0, theta]), np.diag([0.04, 0.04, 0.01]))}
+    covariance = np.diag([0.04, 0.04, 0.01])
+    return probability, {PEER: Relative(np.array([x, 0.0, theta]), covariance, covariance)}
 
 
 def test_hypotheses_that_put_a_peer_at_one_place_count_together():
     possible = [hypothesis(0.4, 1.0), hypothesis(0.3, 5.0), hypothesis(0.2, 5.3), hypothesis(0.1, 1.2)]
     places = places_of(PEER, possible)
-    assert [place.probability for place in places] == pytest.approx([0.5, 0.5])
+    assert [place.probability for place in places] == pytest.approx([0.495, 0.495])
     assert sorted(place.pose[0] for place in places) == [1.0, 5.0]
     assert places_of(OTHER, possible) == ()
 
@@ -196,6 +198,19 @@ def test_hypotheses_that_put_a_peer_at_one_place_count_together():
 def test_places_are_ordered_and_headings_wrap():
     possible = [hypothesis(0.4, 1.0), hypothesis(0.35, 5.0, np.pi - 0.05), hypothesis(0.25, 5.0, -np.pi + 0.05)]
     places = places_of(PEER, possible)
-    assert [place.probability for place in places] == pytest.approx([0.6, 0.4])
+    assert [place.probability for place in places] == pytest.approx(published(np.array([0.6, 0.4])))
     assert places[0].pose[0] == 5.0
     assert possible[1][1][PEER][0][2] == np.pi - 0.05
+
+
+def test_published_probabilities_promise_less_and_leave_something_to_no_place():
+    for p in (0.6, 0.9, 0.98, 0.999, 1.0):
+        best, other = published(np.array([p, 1 - p]))
+        assert best + other == pytest.approx(1 - MISSED)
+        assert other <= best < p
+    # Log odds of 4, known to ±2: the mean of the logistic function over that error, less what may be missed.
+    odds = 4.0 + EVIDENCE * np.random.default_rng(0).normal(size=200_000)
+    p = 1 / (1 + np.exp(-4.0))
+    assert published(np.array([p, 1 - p]))[0] == pytest.approx(
+        (1 - MISSED) * np.mean(1 / (1 + np.exp(-odds))), abs=0.02
+    )
