@@ -125,6 +125,7 @@ class TeamMachine(RuleBasedStateMachine):
         if self.kind == ANYTHING or noticed:
             self.life.pass_time(0.25)
             self.life.carry(self.name(which), metres, noticed)
+            self.life.pass_time(0.25)  # what is measured at that very moment would be of the place before
 
     @precondition(lambda self: self.kind == ANYTHING)
     @rule(which=WHICH, seconds=st.sampled_from([-30.0, -5.0, -0.3, 0.3, 5.0, 30.0]))
