@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from dgorl import se2
 from dgorl.history import WORLD_KEY, History
 from dgorl.limits import optimum
 from dgorl.optimization import native
@@ -101,13 +102,53 @@ def marginalized(window: Window, poses: Array, boundary: int, leave_out: TrackKe
         names[window.world] = WORLD_KEY
     keys = tuple(names[int(member)] for member in members)
     prior = Prior(boundary, standing[reference], keys, relative, information, gradient)
-    prior = _left_out(prior, leave_out) if leave_out in keys else prior
+    prior = _left_out(prior, {leave_out}) if leave_out in keys else prior
     return (prior,) if prior.members else ()
 
 
-def _left_out(prior: Prior, key: TrackKey | None) -> Prior:
-    """The prior on the other members, that one marginalised."""
-    gone = np.repeat([member == key for member in prior.members], 3)
+def excerpt(component: Component, keys: Collection[TrackKey]) -> Component:
+    """What a component knows of some of its tracks and the world: priors with the others marginalised."""
+    if {*keys, WORLD_KEY} >= component.stretches.keys():
+        return component
+    kept = {key: s for key, s in component.stretches.items() if key in keys or key == WORLD_KEY}
+    priors = (_among(prior, kept.keys()) for prior in component.priors)
+    return Component(kept, tuple(prior for prior in priors if prior is not None))
+
+
+def _among(prior: Prior, keys: Collection[TrackKey]) -> Prior | None:
+    """A prior on those of its tracks that are among the keys; None where fewer than two are."""
+    kept = [key for key in (prior.reference, *prior.members) if key in keys]
+    if len(kept) < 2:
+        return None
+    if prior.reference not in keys:
+        prior = _seen_from(prior, kept[0])
+    gone = {member for member in prior.members if member not in keys}
+    return _left_out(prior, gone) if gone else prior
+
+
+def _seen_from(prior: Prior, reference: TrackKey) -> Prior:
+    """The same prior on poses relative to one of its members r: Z_j = Y_r⁻¹ Y_j, and Y_r⁻¹ of the reference before.
+
+    δy_r = −Ad(Y_r⁻¹) δz_ref and δy_j = δz_j + Ad(Z_j⁻¹) δy_r, right perturbations.
+    """
+    r = prior.members.index(reference)
+    relative = se2.between(prior.relative[r], prior.relative)
+    relative[r] = se2.inverse(prior.relative[r])
+    size = len(prior.members)
+    jacobian = np.eye(3 * size)
+    turned = -se2.adjoint(relative[r])
+    for j in range(size):
+        back = turned if j == r else se2.adjoint(se2.inverse(relative[j])) @ turned
+        jacobian[3 * j : 3 * j + 3, 3 * r : 3 * r + 3] = back
+    information = jacobian.T @ prior.information @ jacobian
+    members = tuple(prior.reference if key == reference else key for key in prior.members)
+    symmetric = (information + information.T) / 2
+    return Prior(prior.keyframe, reference, members, relative, symmetric, jacobian.T @ prior.gradient)
+
+
+def _left_out(prior: Prior, keys: Collection[TrackKey]) -> Prior:
+    """The prior on the other members, those marginalised."""
+    gone = np.repeat([member in keys for member in prior.members], 3)
     kept = ~gone
     coupling = prior.information[np.ix_(kept, gone)]
     factor = np.linalg.solve(prior.information[np.ix_(gone, gone)], coupling.T).T
@@ -115,7 +156,7 @@ def _left_out(prior: Prior, key: TrackKey | None) -> Prior:
     return Prior(
         prior.keyframe,
         prior.reference,
-        tuple(member for member in prior.members if member != key),
+        tuple(member for member in prior.members if member not in keys),
         prior.relative[kept[::3]],
         (information + information.T) / 2,
         prior.gradient[kept] - factor @ prior.gradient[gone],

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from dgorl.doubts import Doubt, doubt_about
 from dgorl.expansion.clusters import advance
 from dgorl.expansion.hypotheses import NODES, Cluster
+from dgorl.expansion.step import LARGEST, SPACING
 from dgorl.history import History
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, alone
@@ -74,13 +75,19 @@ class Expansion:
     def _doubts(
         self, components: Sequence[Component], clusters: Sequence[Cluster], before: Sequence[Doubt], since: Since
     ) -> list[Doubt]:
-        """Of what readings link, joined or not."""
+        """Of what readings link, joined or not; of a large team in parts each is asked about in turn."""
         linked = [cluster.hypotheses[0].component for cluster in clusters]
         inside = {key for component in linked for key in component.tracks}
+        wholes = [*linked, *(c for c in components if not inside & set(c.tracks))]
+        known = {doubt.tracks: doubt for doubt in before}
+        large = sum(len(whole.tracks) for whole in wholes) > LARGEST
+        turn = int(self.g // SPACING) % len(wholes) if large else 0
         found = []
-        for whole in [*linked, *(c for c in components if not inside & set(c.tracks))]:
-            keys = frozenset(whole.tracks)
-            last = next((doubt for doubt in before if doubt.tracks == keys), None)
+        for k, whole in enumerate(wholes):
+            last = known.get(frozenset(whole.tracks))
+            if large and k != turn and (last is None or not last.without):
+                found += [last] if last is not None else []
+                continue
             doubt = doubt_about(self.history, whole, components, since, self.g, last)
             found += [doubt] if doubt is not None else []
         return found

@@ -169,7 +169,8 @@ def beam(
     passing = None if before is None else before.passing
     if passing is not None and not set(passing) <= set(keys):
         passing = None
-    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, motion, misfits, passing)
+    begun = step.index if before is None else before.begun
+    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, motion, misfits, passing, begun)
 
 
 def _mass(step: Step, groups: Sequence[Group], recent: Component) -> float:

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from dataclasses import dataclass
 from math import inf
 
-import numpy as np
-
-from dgorl import se2
 from dgorl.expansion.beam import expanded
 from dgorl.expansion.hypotheses import Cluster, groups_of
-from dgorl.expansion.step import Step, internal_links, restricted
+from dgorl.expansion.join import Agreement, joined_parts, joined_whole
+from dgorl.expansion.parts import ENOUGH, Parts
+from dgorl.expansion.step import LARGEST, Step
 from dgorl.formation import contacts
 from dgorl.history import History
-from dgorl.marginal import settled
+from dgorl.marginal import excerpt
 from dgorl.stages import FORMATION, stage
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
-from dgorl.window import Component, Prior
+from dgorl.window import Component
 
-ENOUGH = 4
-"""Readings between two components from which on they are expanded."""
+
+@dataclass(frozen=True)
+class _Set:
+    """What is expanded together: its components, or excerpts, by number; the stamp of the first reading [s]."""
+
+    linked: Sequence[int]
+    components: Sequence[Component]
+    first: float
+    before: Cluster | None
 
 
 def advance(
@@ -43,48 +49,103 @@ def advance(
     doubted = held | {key for key, stamp in since.items() if g - stamp < history.configuration.history}
     members = {key: k for k, component in enumerate(components) for key in component.tracks}
     step = Step(history, {t.key: t for t in history.tracks if t.key in members}, g, since)
-    kept, clusters = list(range(len(components))), []
-    joined: list[Component] = []
     with stage(FORMATION):
         sets = list(_sets(step, previous, components, members))
-    for linked, first, before in sets:
-        mine = [components[k] for k in linked]
+    found: list[tuple[_Set, Agreement]] = []
+    for each in sets:
         try:
-            cluster = expanded(step, before, mine, first)
+            cluster = expanded(step, each.before, each.components, each.first)
         except ValueError:  # the graph leaves a pose undetermined: nothing can be said of these
             continue
-        again = [pair for pair in cluster.sure if not doubted & set(pair)]
-        left = set(linked)
-        for group in groups_of(again, members):
-            try:
-                joined.append(_joined(step, cluster, [components[k] for k in sorted(group)], boundary))
-            except ValueError:
-                continue
-            left -= group
-            kept = [k for k in kept if k not in group]
-        if len(left) + len(groups_of(again, members)) > 1:
-            clusters.append(cluster)
-    return [*(components[k] for k in kept), *joined], clusters
+        found.append((each, Agreement(cluster, [pair for pair in cluster.sure if not doubted & set(pair)])))
+    groups = groups_of([pair for _, agreement in found for pair in agreement.pairs], members)
+    done: set[int] = set()
+    joined: list[Component] = []
+    for group in groups:
+        mine = [both for both in found if any(members[a] in group for a, _ in both[1].pairs)]
+        try:
+            joined.append(_merged(step, mine, group, components, boundary))
+        except ValueError:
+            continue
+        done |= group
+    clusters = [
+        agreement.cluster
+        for each, agreement in found
+        if len(set(each.linked) - done) + sum(bool(group & set(each.linked)) for group in groups) > 1
+    ]
+    return [*(component for k, component in enumerate(components) if k not in done), *joined], clusters
+
+
+def _merged(
+    step: Step,
+    found: Sequence[tuple[_Set, Agreement]],
+    group: set[int],
+    components: Sequence[Component],
+    boundary: float,
+) -> Component:
+    """The components of a group as one. Raises ValueError when a pose is left undetermined."""
+    mine = {k: components[k] for k in sorted(group)}
+    if len(found) == 1:
+        ((each, agreement),) = found
+        if all(any(component is whole for whole in each.components) for component in mine.values()):
+            return joined_whole(step, agreement.cluster, list(mine.values()), boundary)
+    return joined_parts(step, [agreement for _, agreement in found], mine, boundary)
 
 
 def _sets(
     step: Step, previous: Sequence[Cluster], components: Sequence[Component], members: Mapping[TrackKey, int]
-) -> Iterator[tuple[list[int], float, Cluster | None]]:
-    """Sets of two or more components that readings link, the stamp of the first [s], and the cluster they were.
+) -> Iterator[_Set]:
+    """Sets of two or more components that readings link, large ones in parts.
 
     Readings count where the graph has poses of both ends. Those of a robot's earlier epoch may all be older: then it is
     no part of the set, as nothing would determine it, nor anybody with it.
     """
     reach = _reach(step.since, previous, components)
-    waiting = _linked(step, members, reach, step.history.horizon(step.g))
+    horizon = step.history.horizon(step.g)
+    waiting = _linked(step, members, reach, horizon)
     while waiting:
         linked, first = waiting.pop(0)
-        before = _before(previous, [components[k] for k in linked])
+        mine = [components[k] for k in linked]
+        if sum(len(component.tracks) for component in mine) > LARGEST:
+            yield from _parts(step, previous, components, linked, reach)
+            continue
+        before = _before(previous, mine)
         base = -inf if before is None else before.base / KEYFRAMES_PER_SECOND
         if first < base:
             waiting += _linked(step, {key: k for key, k in members.items() if k in linked}, reach, base)
         else:
-            yield linked, first, before
+            yield _Set(linked, mine, first, before)
+
+
+def _parts(
+    step: Step,
+    previous: Sequence[Cluster],
+    components: Sequence[Component],
+    linked: Sequence[int],
+    reach: Mapping[TrackKey, float],
+) -> Iterator[_Set]:
+    """The parts of a large set."""
+    home = {key: k for k in linked for key in components[k].tracks}
+    horizon = step.history.horizon(step.g)
+    heard = {
+        (a, b): contact.readings
+        for (a, b), contact in contacts(step.history, horizon, step.g, reach).items()
+        if a in home and b in home and home[a] != home[b]
+    }
+
+    def largest(tracks: set[TrackKey], low: float) -> tuple[list[int], float] | None:
+        sets = _linked(step, {key: home[key] for key in sorted(tracks)}, reach, low)
+        return max(sets, key=lambda found: (len(found[0]), -found[0][0]), default=None)
+
+    def stands(cluster: Cluster, tracks: set[TrackKey]) -> set[TrackKey]:
+        found = largest(tracks, max(horizon, cluster.base / KEYFRAMES_PER_SECOND))
+        return set() if found is None else {key for key in tracks if home[key] in found[0]}
+
+    for part, before in Parts(components, linked, heard).chosen(previous, step.index, stands):
+        low = horizon if before is None else max(horizon, before.base / KEYFRAMES_PER_SECOND)
+        found = largest({key for keys in part.values() for key in keys}, low)
+        if found is not None:
+            yield _Set(found[0], [excerpt(components[k], part[k]) for k in found[0]], found[1], before)
 
 
 def _reach(
@@ -128,45 +189,3 @@ def _before(previous: Sequence[Cluster], components: Sequence[Component]) -> Clu
     tracks = {key for component in components for key in component.tracks}
     known = [c for c in previous if len(c.tracks & tracks) > 1]
     return max(known, key=lambda c: (len(c.tracks & tracks), sorted(c.tracks)), default=None)
-
-
-def _joined(step: Step, cluster: Cluster, components: Sequence[Component], boundary: float) -> Component:
-    """One component of several, placed as the best hypothesis has them; a weak prior keeps it proper."""
-    keys = {key for component in components for key in component.stretches}
-    best = restricted(cluster.hypotheses[0].component, keys)
-    low = cluster.base / KEYFRAMES_PER_SECOND
-    weak = _weak(best, components)
-    best = Component(best.stretches, (*best.priors, *weak), internal_links(step, best, low))
-    return settled(step.history, best, low, step.g, boundary).component
-
-
-def _weak(best: Component, components: Sequence[Component]) -> tuple[Prior, ...]:
-    """Π between the body of the first track and each other one, at the newest keyframe where a track of both stands.
-
-    A robot's earlier epoch is a track that ends, perhaps before the cluster begins: it need not be in ``best``.
-    """
-    bodies = [[key for key in component.tracks if key in best.stretches] for component in components]
-    first = next(body for body in bodies if best.tracks[0] in body)
-    found = []
-    for body in bodies:
-        abreast = None if body is first else _abreast(best, first, body)
-        if abreast is None:
-            continue
-        keyframe, pair = abreast
-        a, b = (best.stretches[key].poses[keyframe - best.stretches[key].first] for key in pair)
-        relative = se2.between(a, b)
-        sigma = max(float(np.hypot(relative[0], relative[1])), 5.0)
-        information = np.diag([sigma**-2, sigma**-2, np.pi**-2])
-        found.append(Prior(keyframe, pair[0], (pair[1],), relative[None], information, np.zeros(3)))
-    return tuple(found)
-
-
-def _abreast(best: Component, a: Sequence[TrackKey], b: Sequence[TrackKey]) -> tuple[int, tuple[TrackKey, ...]] | None:
-    """The newest keyframe at which a track of both bodies stands, and these two; None if there is none."""
-    found = []
-    for pair in product(a, b):
-        ends = [best.stretches[key] for key in pair]
-        newest = min(s.first + len(s.poses) - 1 for s in ends)
-        if newest >= max(s.first for s in ends):
-            found.append((newest, pair))
-    return max(found, key=lambda item: item[0], default=None)  # of several the first in canonical order

@@ -12,17 +12,24 @@ import numpy as np
 
 from dgorl import se2
 from dgorl.expansion.bodies import slopes
-from dgorl.expansion.cluster_graph import ClusterGraph, Optima
+from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
+from dgorl.expansion.step import Step, internal_links
+from dgorl.marginal import stretches
 from dgorl.optimization import native
 from dgorl.optimization.problem import DensePrior, Indices, Problem, RelativePoses, Scalars
 from dgorl.radio import distances
 from dgorl.se2 import Array
+from dgorl.tracks import KEYFRAMES_PER_SECOND
+from dgorl.window import Component
 
 SPACING = 10
 """Keyframes from one pose to the next."""
 
 TOLERANCE, ITERATIONS = 1e-2, 20
 """Largest last step [m, rad], and most linear systems solved for one optimum."""
+
+SMOOTHED = 100
+"""The same for the one start of a large component."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,19 @@ def decimated(graph: ClusterGraph, poses: Array) -> Decimated:
         soft=anchor[graph.soft],
     )
     return Decimated(coarse, anchor, offset, first_of)
+
+
+def smoothed(step: Step, component: Component) -> Component:
+    """A large component at the optimum of its coarse graph: from there the whole one takes a third of the steps."""
+    first = min(component.stretches[key].first for key in component.tracks)
+    inside = internal_links(step, component, first / KEYFRAMES_PER_SECOND)
+    unit = Component(component.stretches, component.priors, inside)
+    graph = cluster_graph(step.history, unit, [tuple(unit.stretches)], first, step.g)
+    start = graph.start(unit)
+    coarse = decimated(graph, start)
+    found = coarse.graph.optimize(coarse.coarse(start[None]), TOLERANCE, SMOOTHED)
+    moved = coarse.whole(found.poses)[0]
+    return Component(stretches(graph.window, moved, None), component.priors, component.links)
 
 
 def _odometry(p: Problem, anchor: Indices, first_of: Indices) -> tuple[Indices, Indices, Array, Array]:

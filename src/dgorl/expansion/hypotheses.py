@@ -75,6 +75,8 @@ class Cluster:
     """tracks that do not fit the best hypothesis, and for how many nodes in a row: nobody is joined to them"""
     passing: tuple[TrackKey, TrackKey] | None = None
     """who have passed one another so that the side they took is why they are not joined any more"""
+    begun: int = 0
+    """number of the node at which it was formed"""
 
     @property
     def tracks(self) -> frozenset[TrackKey]:

@@ -21,8 +21,8 @@ from dgorl.expansion.beam import beam
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
 from dgorl.expansion.hypotheses import CERTAIN, NODES, Cluster, distinct, pair_relative, probabilities
 from dgorl.expansion.passing import Layout, Passing, passed, passings
-from dgorl.expansion.step import Step
-from dgorl.marginal import stretches
+from dgorl.expansion.step import Step, beside
+from dgorl.marginal import excerpt, stretches
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Component
@@ -53,6 +53,22 @@ def sides(step: Step, component: Component, since: float) -> tuple[Component, Cl
     if not tried.mass[best] > tried.mass[0] + BETTER:
         return component, None
     return Component(stretches(graph.window, tried.poses[best], None), component.priors, component.links), None
+
+
+def sides_of_some(step: Step, component: Component, since: float) -> Component:
+    """A large component, at the best side of its nearest passing as those tell it who are nearest; it stays joined."""
+    layout, offset = {}, 0
+    for key in component.tracks:
+        stretch = component.stretches[key]
+        layout[key] = (offset, stretch.first, len(stretch.poses))
+        offset += len(stretch.poses)
+    poses = np.concatenate([component.stretches[key].poses for key in component.tracks])
+    met = [] if component.has_world else passings(layout, poses, floor(since * KEYFRAMES_PER_SECOND))
+    if not met:
+        return component
+    part = excerpt(component, beside(component, met[0].pair))
+    moved, _ = sides(step, part, since)
+    return component if moved is part else replace(component, stretches={**component.stretches, **moved.stretches})
 
 
 def _open(graph: ClusterGraph, optima: Optima, limits: Status) -> list[tuple[TrackKey, TrackKey]]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from dgorl.history import History
 from dgorl.tracks import Track, TrackKey
@@ -11,6 +13,9 @@ from dgorl.window import Component, Link, links, stands
 
 SPACING = 5.0
 """Seconds between nodes."""
+
+LARGEST = 12
+"""Tracks that are searched together, or taken apart; larger teams are treated part by part: n_max of METHOD §6."""
 
 Group = tuple[TrackKey, ...]
 """The tracks of a component, the world among them."""
@@ -52,3 +57,10 @@ def internal_links(step: Step, component: Component, low: float) -> tuple[Link, 
         and stands(component, link.reference, link.stamp_reference)
         and stands(component, link.robot, link.stamp_robot)
     )
+
+
+def beside(component: Component, keys: Sequence[TrackKey]) -> Sequence[TrackKey]:
+    """Some tracks and those nearest to the first of them, as many as are taken apart at a time."""
+    x, y, _ = component.stretches[keys[0]].poses[-1]
+    far = {key: float(np.hypot(*(s.poses[-1, :2] - (x, y)))) for key, s in component.stretches.items()}
+    return sorted(component.tracks, key=lambda key: (key not in keys, far[key], key))[:LARGEST]
