@@ -14,7 +14,7 @@ from math import exp
 from dgorl.consistency import CLIP, OUTLIERS, chi2_limit, recent_squares
 from dgorl.expansion.beam import expanded
 from dgorl.expansion.hypotheses import CERTAIN, Cluster
-from dgorl.expansion.step import LARGEST, SPACING, Step
+from dgorl.expansion.step import SPACING, WHOLE, Step
 from dgorl.history import History
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Component, alone, assemble
@@ -76,7 +76,7 @@ def doubt_about(
     joined: the components. since: from when on tracks count [s]. before: what was said of these tracks last.
     """
     keys = frozenset(whole.tracks)
-    if not FEWEST <= len(keys) <= LARGEST or whole.has_world:
+    if not FEWEST <= len(keys) <= WHOLE or whole.has_world:
         return None
     fit = _fit(history, whole, g)
     if fit.good:

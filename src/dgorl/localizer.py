@@ -12,8 +12,7 @@ from dgorl.doubts import LONGEST
 from dgorl.estimate import Estimate
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.expansion.sides import just_passed, sides
-from dgorl.expansion.step import LARGEST as LARGEST_PART
-from dgorl.expansion.step import SPACING, Step
+from dgorl.expansion.step import SPACING, WHOLE, Step
 from dgorl.expansion.ticks import hypotheses_now
 from dgorl.history import LATE, History
 from dgorl.marginal import stretches
@@ -156,7 +155,7 @@ class Team:
     def _reopened(self, component: Component, state: TeamState, node: Node, now: float) -> Cluster | None:
         """The component as a cluster, if robots passed one another about the node or since and the side is open."""
         since, window, poses = node.stamp - SPACING, state.window, state.solution.poses
-        large = len(window.layout) > LARGEST_PART  # every tick has passings in one, and its nodes look at them
+        large = len(window.layout) > WHOLE  # every tick has passings in one, and its nodes look at them
         if window.world is not None or large or not just_passed(window.layout, poses, since):
             return None
         step = Step(self.history, {t.key: t for t in self.history.tracks}, now, node.since)

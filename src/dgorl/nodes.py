@@ -16,7 +16,7 @@ from dgorl.doubts import Doubt
 from dgorl.expansion.decimated import smoothed
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.expansion.sides import REMEMBERED, sides, sides_of_some
-from dgorl.expansion.step import LARGEST, SPACING, Step, beside
+from dgorl.expansion.step import SPACING, WHOLE, Step, beside
 from dgorl.history import History
 from dgorl.marginal import excerpt, settled, without
 from dgorl.outcasts import Expansion
@@ -131,7 +131,7 @@ class Memo:
         for component in grow(self._history, node.components, low, g, since):
             try:
                 step = Step(self._history, tracks, g, since)
-                if len(component.tracks) > LARGEST:
+                if len(component.tracks) > WHOLE:
                     component = smoothed(step, sides_of_some(step, component, g - REMEMBERED))
                 elif len(component.tracks) > 1 and not component.has_world:
                     component, cluster = sides(step, component, g - REMEMBERED)
@@ -202,7 +202,8 @@ class Memo:
         self, component: Component, found: Sequence[Suspect], base: int, low: float, g: float, boundary: float
     ) -> Suspect:
         """Whose removal lowers the team's sum most: those a robot lies to fit badly too. Of a large team, of a part."""
-        component = excerpt(component, beside(component, [seen.key for seen in found]))
+        if len(component.tracks) > WHOLE:
+            component = excerpt(component, beside(component, [seen.key for seen in found]))
         since = max(min(seen.since for seen in found), base + 1)
         known = {seen.key: seen for seen in found}
         left = {}
@@ -228,7 +229,7 @@ class Memo:
         rest = extended(without(self._history, component, gone, low, since), tracks, g)
         if len(rest.stretches) < 2:
             return rest, 0.0
-        if len(rest.tracks) > LARGEST:
+        if len(rest.tracks) > WHOLE:
             rest = smoothed(Step(self._history, tracks, g), rest)
         done = settled(self._history, rest, since / KEYFRAMES_PER_SECOND, g, boundary)
         return done.component, 2 * done.cost - sum(len(scalars.value) for scalars in done.window.problem.scalars)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dgorl.doubts import Doubt, doubt_about
 from dgorl.expansion.clusters import advance
 from dgorl.expansion.hypotheses import NODES, Cluster
-from dgorl.expansion.step import LARGEST, SPACING
+from dgorl.expansion.step import SPACING, WHOLE
 from dgorl.history import History
 from dgorl.tracks import TrackKey
 from dgorl.window import Component, alone
@@ -80,7 +80,7 @@ class Expansion:
         inside = {key for component in linked for key in component.tracks}
         wholes = [*linked, *(c for c in components if not inside & set(c.tracks))]
         known = {doubt.tracks: doubt for doubt in before}
-        large = sum(len(whole.tracks) for whole in wholes) > LARGEST
+        large = sum(len(whole.tracks) for whole in wholes) > WHOLE
         turn = int(self.g // SPACING) % len(wholes) if large else 0
         found = []
         for k, whole in enumerate(wholes):

@@ -9,18 +9,18 @@ from dgorl import Team, se2
 from dgorl.evaluation.records import truth_at
 from dgorl.expansion import clusters, decimated, drafts, search
 from dgorl.expansion.cluster_graph import ClusterGraph, cluster_graph
-from dgorl.expansion.step import LARGEST, SPACING, Step
+from dgorl.expansion.step import LARGEST, SPACING, WHOLE, Step
 from dgorl.measurements import known_at
 from dgorl.window import extended
 from tests.integration.teams import settings, simulated
 
-ROBOTS, END = 20, 31.0
+ROBOTS, END = 26, 36.0
 
 
 @pytest.fixture(scope="module")
 def log():
     steps = int(2 * END) + 2
-    return simulated(robots=ROBOTS, area=58.0, steps=steps, sensors=("range",), comm_range=25.0, seed=2)
+    return simulated(robots=ROBOTS, area=64.0, steps=steps, sensors=("range",), comm_range=25.0, seed=2)
 
 
 def node(log, team, order=None):
@@ -59,7 +59,7 @@ def test_no_search_is_larger_than_a_part_and_everybody_is_found(log, monkeypatch
     for index in {index for index, _ in sets}:
         parts = [count for at, count in sets if at == index]
         assert len(parts) < ROBOTS / 2
-    assert {starts for count, starts in tracks if count > LARGEST} <= {1}  # a joined team's one coarse start
+    assert {starts for count, starts in tracks if count > WHOLE} <= {1}  # a joined team's one coarse start
     assert max(graphs.expanded for graphs in expanded) <= search.EXPANSIONS + search.WIDTH * LARGEST
     (joined,) = state.joined
     assert len(joined.members) == ROBOTS
@@ -91,7 +91,7 @@ def test_a_large_component_starts_from_its_coarse_optimum(log):
     team = Team(settings(log))
     node(log, team)
     component = max(team._memo.node(25.0).components, key=lambda c: len(c.tracks))
-    assert len(component.tracks) > LARGEST
+    assert len(component.tracks) > WHOLE
     tracks = {t.key: t for t in team.history.tracks}
     grown = extended(component, tracks, 30.0)
     moved = decimated.smoothed(Step(team.history, tracks, 30.0), grown)

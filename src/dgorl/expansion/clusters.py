@@ -10,7 +10,7 @@ from dgorl.expansion.beam import expanded
 from dgorl.expansion.hypotheses import Cluster, groups_of
 from dgorl.expansion.join import Agreement, joined_parts, joined_whole
 from dgorl.expansion.parts import ENOUGH, Parts
-from dgorl.expansion.step import LARGEST, Step
+from dgorl.expansion.step import WHOLE, Step
 from dgorl.formation import contacts
 from dgorl.history import History
 from dgorl.marginal import excerpt
@@ -106,7 +106,7 @@ def _sets(
     while waiting:
         linked, first = waiting.pop(0)
         mine = [components[k] for k in linked]
-        if sum(len(component.tracks) for component in mine) > LARGEST:
+        if sum(len(component.tracks) for component in mine) > WHOLE:
             yield from _parts(step, previous, components, linked, reach)
             continue
         before = _before(previous, mine)

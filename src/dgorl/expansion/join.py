@@ -11,7 +11,7 @@ import numpy as np
 from dgorl import se2
 from dgorl.expansion.decimated import smoothed
 from dgorl.expansion.hypotheses import Cluster
-from dgorl.expansion.step import LARGEST, Step, internal_links, restricted
+from dgorl.expansion.step import WHOLE, Step, internal_links, restricted
 from dgorl.marginal import settled
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
@@ -68,7 +68,7 @@ def joined_parts(
     }
     union = Component(stretches, tuple(prior for component in own.values() for prior in component.priors))
     low = min(stretches[key].first for key in union.tracks) / KEYFRAMES_PER_SECOND
-    union = smoothed(step, union) if len(union.tracks) > LARGEST else union
+    union = smoothed(step, union) if len(union.tracks) > WHOLE else union
     return _settled(step, union, list(own.values()), low, boundary)
 
 

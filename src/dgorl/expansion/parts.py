@@ -1,7 +1,7 @@
 """Large teams in parts: which tracks of a large set are expanded together. METHOD §6.
 
-What a search costs grows with the cube of the tracks in its graph. A set of more than ``LARGEST`` is expanded in parts
-of at most so many, chosen by who heard whom most; a joined component takes part by the tracks that the others hear
+What a search costs grows with the cube of the tracks in its graph. A set of more than ``WHOLE`` is expanded in parts
+of at most ``LARGEST``, chosen by who heard whom most; a joined component takes part by the tracks that the others hear
 best. Parts that are joined become components, which the next nodes join in turn.
 """
 

@@ -14,8 +14,11 @@ from dgorl.window import Component, Link, links, stands
 SPACING = 5.0
 """Seconds between nodes."""
 
+WHOLE = 24
+"""Up to so many tracks are treated together; more of them part by part."""
+
 LARGEST = 12
-"""Tracks that are searched together, or taken apart; larger teams are treated part by part: n_max of METHOD §6."""
+"""Tracks of such a part: n_max of METHOD §6."""
 
 Group = tuple[TrackKey, ...]
 """The tracks of a component, the world among them."""
