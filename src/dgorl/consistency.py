@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgorl import se2
+from dgorl.configuration import Kernel
 from dgorl.graph import residuals, weights
 from dgorl.marginal import TOLERANCE
 from dgorl.optimization import native
-from dgorl.optimization.problem import Indices, Problem
+from dgorl.optimization.problem import Indices, Loss, Problem
 from dgorl.se2 import Array
 from dgorl.tracks import KEYFRAMES_PER_SECOND, TrackKey
 from dgorl.window import Window
@@ -48,6 +49,10 @@ SAME_STEP = 2
 
 PRECISION = float(np.finfo(float).eps)
 """Relative rounding error of one operation."""
+
+
+FIRM: Mapping[str, Kernel] = {"cauchy": "huber", "cauchy_negative": "huber_negative"}
+"""Kernels that redescend, and what stands for them where contradictions are looked for."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +98,30 @@ def suspects(window: Window, poses: Array, g: float, before: Mapping[TrackKey, S
     return sorted(worst.values(), key=lambda s: (-s.excess, s.key))
 
 
+def _firm(window: Window, poses: Array) -> tuple[Window, Array]:
+    """The window with Huber's kernel where its own redescends, and its optimum near poses (N, 3).
+
+    A kernel that redescends explains any contradiction away: what it rejects no longer pulls. Whether a robot
+    fits is asked where every reading pulls.
+    """
+    firm = [replace(s, loss=Loss(FIRM.get(s.loss.kernel, s.loss.kernel), s.loss.width)) for s in window.problem.scalars]
+    if all(a.loss == b.loss for a, b in zip(firm, window.problem.scalars, strict=True)):
+        return window, poses
+    problem = replace(window.problem, initial=poses, scalars=tuple(firm))
+    try:
+        found = native.solve(problem, np.zeros(0, np.int64), TOLERANCE)
+    except ValueError:  # a pose is undetermined: the tests see what there is
+        return window, poses
+    return replace(window, problem=problem), found.poses
+
+
 def unfit(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKey, ...]]) -> frozenset[TrackKey]:
     """Members of the bodies that no place of theirs explains, one body after another, without those before it.
 
     bodies: the members of each component, in itself settled: readings of the last 5 s between them count. Of two that
     do not fit one another, it is the smaller one. Besides, single tracks that fit only as they are bent.
     """
+    window, poses = _firm(window, poses)
     bent = _bent(window, poses, g, bodies)
     return bent | _misfits(window, poses, g, bodies)
 
