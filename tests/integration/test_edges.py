@@ -9,6 +9,9 @@ from dgorl import Configuration, Displacement, Localizer, Odometry, Range, Relat
 from dgorl.measurements import WORLD
 from dgorl.places import MISSED
 
+TWIST = np.array([0.5, 0.0, 0.2])
+"""how all drive, x, y, turn a second"""
+
 PRIOR = (0.0025, 0.0, 0.0, 0.0025, 0.0, 0.0003)
 
 
@@ -102,8 +105,8 @@ def test_a_new_epoch_forgets_where_the_robot_was():
     localizer = localizer_with("r1", [*starts, *odometry, *contact])
     assert localizer.update(20.0)["r2"].status == Status.TRACKED
     assert localizer.update(25.0)["r2"].status == Status.AMBIGUOUS
-    again = start("r2", 9.0, 9.0, 1.0, stamp=20.0)
-    localizer.add(again)
+    x, y, theta = se2.compose([3.0, 0.0, 0.0], se2.exp(20.0 * TWIST)).tolist()  # as far from r1 as the ranges say
+    localizer.add(start("r2", x, y, theta, stamp=20.0))
     assert localizer.update(25.5)["r2"].status == Status.TRACKED
 
 
@@ -136,7 +139,10 @@ def test_two_robots_on_one_spot():
 
 def test_measurements_without_odometry_wait_for_it():
     localizer = localizer_with("r1", [start("r1", 0, 0, 0), start("r2", 3, 0, 0), *ranges("r1", "r2", 0.5, 5, 3.0)])
-    assert dict(localizer.update(5.0)) == {}
+    before = localizer.update(5.0)
+    assert list(before) == ["r2"]
+    assert before["r2"].status == Status.ISOLATED
+    assert before["r2"].pose is None
     for measurement in [*drive("r1", 0, 5), *drive("r2", 0, 5)]:
         localizer.add(measurement)
     assert localizer.update(5.0)["r2"].status == Status.TRACKED

@@ -1,4 +1,4 @@
-"""Logs of strangers after which a robot was located while wrong: held twists, a clock that stepped, an encoder reset."""
+"""Logs of strangers after which a robot was located while wrong: held twists, a clock's step, an encoder reset."""
 
 from __future__ import annotations
 

@@ -52,12 +52,12 @@ def sealed(sequence: int, begin: float, end: float, reading: float | None = None
     return Sealed(b"", Bundle("lab", "r2", 1, sequence, 0, max(end, reading or end), rows, ranges=heard))
 
 
-def test_bundles_are_admitted_in_order_of_arrival_once():
+def test_bundles_are_admitted_in_order_of_their_numbers_once():
     admission = Admission(Configuration())
     first, second = sealed(1, 0.5, 1.0), sealed(0, 0.0, 0.5)
     for bundle in (first, second, first):
         admission.offer(bundle)
-    assert admission.due(1.0, takes_late=True) == (first, second)
+    assert admission.due(1.0, takes_late=True) == (second, first)
     admission.offer(second)
     assert admission.due(1.5, takes_late=True) == ()
     assert admission.data == "r2:0000000000000001.0-1"
@@ -69,6 +69,38 @@ def test_what_tells_of_the_future_waits_for_it():
     assert admission.due(1.9, takes_late=True) == ()
     assert admission.data == ""
     assert len(admission.due(2.0, takes_late=True)) == 1
+
+
+@pytest.mark.parametrize(("missing", "waits"), [(1, False), (2, False), (3, True), (9, True)])
+def test_what_has_not_been_heard_yet_makes_no_gap(missing, waits):
+    """Of bundles of half a second: two that are missing leave nothing that is more than a second long."""
+    admission, last = Admission(Configuration()), 5 + missing
+    bundles = [sealed(k, 0.5 * k, 0.5 * (k + 1)) for k in range(last + 2)]
+    now = bundles[-1].bundle.cut
+    for k in (*range(5), last, last + 1):
+        admission.offer(bundles[k])
+    assert len(admission.due(now, takes_late=True)) == (5 if waits else 7)
+    for k in range(5, last):
+        admission.offer(bundles[k])
+    found = admission.due(now + 0.5, takes_late=True)
+    assert found == tuple(bundles[5:] if waits else bundles[5:last])
+
+
+def test_what_is_never_heard_is_a_gap_in_the_end():
+    admission = Admission(Configuration())
+    for k in (0, 1, 7, 8):
+        admission.offer(sealed(k, 0.5 * k, 0.5 * (k + 1)))
+    assert len(admission.due(4.5, takes_late=True)) == 2
+    assert len(admission.due(11.5, takes_late=True)) == 0
+    assert len(admission.due(12.0, takes_late=True)) == 0
+    assert len(admission.due(12.5, takes_late=True)) == 2
+
+
+def test_at_the_end_nothing_waits_for_what_has_not_been_heard():
+    admission = Admission(Configuration())
+    for k in (0, 7):
+        admission.offer(sealed(k, 0.5 * k, 0.5 * (k + 1)))
+    assert len(admission.due(4.5, takes_late=True, final=True)) == 2
 
 
 def test_what_is_late_waits_whole_until_it_is_taken():

@@ -18,6 +18,12 @@ from dgorl.team.wire import reopened
 PATIENCE = 2.0
 """What comes in late goes together: it waits until no more comes, at most so long [s]. Each time is a rewind."""
 
+UNHEARD = 8.0
+"""So long [s] what follows a bundle that has not been heard waits for it, where without it a robot were found anew."""
+
+GAP = 1.0
+"""Odometry that is missing for longer than this [s] ends a track."""
+
 EARLY = 4_000_000
 """Of an epoch's bundles that are stamped after now so much waits [bytes], the newest ..."""
 
@@ -41,6 +47,8 @@ class Admission:
         self._order = count()
         self._late_before, self._late_since = inf, inf  # what is there at the start goes at once
         self._admitted: dict[tuple[str, int], Ranges] = {}
+        self._told: dict[tuple[str, int], float] = {}
+        """until when the odometry of an epoch is admitted [s]"""
 
     @property
     def data(self) -> str:
@@ -52,7 +60,7 @@ class Admission:
         self._waiting.append(sealed)
 
     def due(self, now: float, *, takes_late: bool, final: bool = False) -> tuple[Sealed, ...]:
-        """What to give the Localizer before it is updated at ``now`` [s], in order of arrival.
+        """What to give the Localizer before it is updated at ``now`` [s], in order of their numbers.
 
         takes_late: whether it would admit what is later than 10 s. final: there is no later tick to wait for.
         """
@@ -64,8 +72,12 @@ class Admission:
         if takes_late:
             self._late_before, self._late_since = 0, inf
         taken, waiting = [], []
-        for sealed in self._waiting:
-            if self._shared and (_origin(sealed.bundle) in filling or self._waits(sealed.bundle, now, takes_late)):
+        for sealed in sorted(self._waiting, key=lambda sealed: sealed.bundle.sequence):
+            if self._shared and (
+                _origin(sealed.bundle) in filling
+                or self._waits(sealed.bundle, now, takes_late)
+                or (not final and self._leaves_out(sealed.bundle, now))
+            ):
                 waiting.append(sealed)
             elif self._shared and now - _since(sealed.bundle, now) > self._history:
                 self.rejected["too late"] += 1
@@ -102,10 +114,23 @@ class Admission:
         """For its time to come, or, late, for a tick that takes it (METHOD §1)."""
         return _latest(bundle, now) > now or (_lateness(bundle, now) > LATE and not takes_late)
 
+    def _leaves_out(self, bundle: Bundle, now: float) -> bool:
+        """Whether a bundle that has not been heard yet would leave a gap of odometry before this one.
+
+        Then the robot would have to be found anew; it is foreseen meanwhile.
+        """
+        known = self._admitted.get(_origin(bundle))
+        if not known or bundle.sequence <= known.high or bundle.sequence - 1 in known:
+            return False
+        begin = min((m.start for m in _odometry(bundle)), default=-inf)
+        return begin > self._told.get(_origin(bundle), -inf) + GAP and _lateness(bundle, now) <= UNHEARD
+
     def _is_new(self, bundle: Bundle) -> bool:
         numbers = self._admitted.setdefault(_origin(bundle), Ranges())
         new = bundle.sequence not in numbers
         numbers.add(bundle.sequence)
+        told = max((m.end for m in _odometry(bundle)), default=-inf)
+        self._told[_origin(bundle)] = max(told, self._told.get(_origin(bundle), -inf))
         return new
 
 
@@ -140,6 +165,10 @@ class _Early:
 
 def _origin(bundle: Bundle) -> tuple[str, int]:
     return bundle.robot, bundle.epoch
+
+
+def _odometry(bundle: Bundle) -> list[Odometry | Displacement]:
+    return [m for m in bundle.measurements if isinstance(m, Odometry | Displacement)]
 
 
 def _latest(bundle: Bundle, now: float) -> float:
