@@ -1,24 +1,24 @@
-"""Does a robot still fit its team? Two tests of a settled window, for robots that were carried or whose readings lie.
+"""Does a robot still fit its team? Three tests of a settled window, for who was carried or whose readings lie.
 
 METHOD §4, break. A robot that was carried shows as an odometry step the rest of the window contradicts: twice the cost
 falls by T ~ χ²(3) when the step is left out, and T follows from the step's residual u, its covariance Q and its
-posterior covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject all its readings instead, these no longer sum up as
-χ² does.
+posterior covariance C as uᵀ(Q − C)⁻¹u. Where robust kernels reject its readings instead, these no longer sum up as χ²
+does, or do not since a moment (``contradictions``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dgorl import se2
 from dgorl.configuration import Kernel
-from dgorl.graph import residuals, weights
+from dgorl.contradictions import BEGINS, contradictions, readings, without_worst
+from dgorl.graph import losses, residuals
 from dgorl.marginal import TOLERANCE
 from dgorl.optimization import native
 from dgorl.optimization.problem import Indices, Loss, Problem
@@ -38,11 +38,14 @@ TAIL = 1e-4
 CLIP = 9.0
 """A reading's squared normalised residual counts at most this much."""
 
-OUTLIERS = 1 / 3
-"""This share of a robot's readings, the worst, is no reason: they had no line of sight."""
-
 FEWEST = 3
 """Readings below which a robot's sum says nothing."""
+
+NEAR = 0.25
+"""From this share of its limit on T is computed from the cost itself."""
+
+FREED, COARSE = 1e-9, 1e-3
+"""Factor of the information of a step that is given up; the last step of the optimum without it [m, rad]."""
 
 SAME_STEP = 2
 """Keyframes up to which two nodes mean the same step."""
@@ -86,13 +89,19 @@ def chi2_limit(dof: float, tail: float = TAIL) -> float:
 def suspects(window: Window, poses: Array, g: float, before: Mapping[TrackKey, Suspect]) -> list[Suspect]:
     """The members that fit badly at node g [s], the worst first; poses (N, 3) are the window's optimum.
 
-    before: those of the node before. Who is one of them is not picked out of many, and answers for this one test.
+    before: those of the node before. Who is one of them is not picked out of many, and answers for this test alone.
     """
-    looks = len(window.layout) * (int(INTERVALS[-1] * KEYFRAMES_PER_SECOND) + 1)  # every step of all, and every sum
+    steps = int(INTERVALS[-1] * KEYFRAMES_PER_SECOND)
+    looks = len(window.layout) * (steps + BEGINS + 1)  # every step of all, every beginning, and every sum
     worst: dict[TrackKey, Suspect] = {}
-    for found, dof in (*_carried(window, poses, g), *_rejected(window, poses, g)):
+    sums = (*_carried(window, poses, g, TAIL / looks), *_rejected(window, poses, g))
+    tests = [
+        *((*found, TAIL) for found in sums),
+        *((*found, TAIL / BEGINS) for found in _contradicted(window, poses, g)),
+    ]
+    for found, dof, alone in tests:
         again = found.key in before and found.after(before[found.key]).nodes > 1
-        found = replace(found, excess=found.excess / chi2_limit(dof, TAIL if again else TAIL / looks))
+        found = replace(found, excess=found.excess / chi2_limit(dof, alone if again else TAIL / looks))
         if found.excess > max(worst[found.key].excess if found.key in worst else 1.0, 1.0):
             worst[found.key] = found
     return sorted(worst.values(), key=lambda s: (-s.excess, s.key))
@@ -136,7 +145,7 @@ def _misfits(window: Window, poses: Array, g: float, bodies: Sequence[tuple[Trac
     gone: frozenset[TrackKey] = frozenset()
     while True:
         i, j, square = i[between], j[between], square[between]
-        sums = [(k, _without_worst(square[(i == k) | (j == k)])) for k in range(len(bodies))]
+        sums = [(k, without_worst(square[(i == k) | (j == k)])) for k in range(len(bodies))]
         excess = {k: total / chi2_limit(kept, tail) for k, (total, kept) in sums if kept >= FEWEST}
         worst = max(excess, key=lambda k: (excess[k], -len(bodies[k]), bodies[k]), default=None)
         if worst is None or excess[worst] <= 1.0:
@@ -169,34 +178,41 @@ def _bent(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKe
     return frozenset(found)
 
 
-class _Readings(NamedTuple):
-    """Readings of one kind: stamps, normalised residuals, robust weights (M,), numbers of both members."""
+def _carried(window: Window, poses: Array, g: float, tail: float) -> list[tuple[Suspect, int]]:
+    """Odometry steps against the rest of the window, T as the excess, and its degrees of freedom.
 
-    stamp: Array
-    residual: Array
-    weight: Array
-    ends: tuple[Indices, Indices]
-
-
-def _readings(window: Window, poses: Array) -> Iterator[_Readings]:
-    owner = np.repeat(np.arange(len(window.layout)), [count for _, _, count in window.layout.values()])
-    for scalars, stamps in zip(window.problem.scalars, window.stamps, strict=True):
-        residual = residuals(window.problem, scalars, poses)
-        yield _Readings(stamps, residual, weights(residual, scalars.loss), (owner[scalars.i], owner[scalars.j]))
-
-
-def _carried(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]]:
-    """Odometry steps against the rest of the window, T as the excess, and its degrees of freedom."""
+    T is by how much the cost falls if the kernels' weights stay. A carry that no reading tells the moment of has those
+    near it rejected, which come back without the step: where T comes near to its limit the cost is fetched itself.
+    """
     rows = _strained(window, poses, int(np.floor(g * KEYFRAMES_PER_SECOND)))
     if len(window.layout) < 2 or not rows:
         return []
-    t, dof = drop(window.problem, poses, np.array([index for _, _, index in rows]))
-    t /= _spread(window, poses)
-    return [
-        (Suspect(key, keyframe, float(excess), True), int(n))
-        for (key, keyframe, _), excess, n in zip(rows, t, dof, strict=True)
-        if n
-    ]
+    problem, spread = window.problem, _spread(window, poses)
+    t, dof = drop(problem, poses, np.array([index for _, _, index in rows]))
+    found = []
+    for (key, keyframe, index), excess, n in zip(rows, t / spread, dof, strict=True):
+        if n and NEAR < excess / chi2_limit(int(n), tail) <= 1.0:
+            excess = max(excess, _fall(problem, poses, index) / spread)
+        if n:
+            found.append((Suspect(key, keyframe, float(excess), True), int(n)))
+    return found
+
+
+def _fall(problem: Problem, poses: Array, at: int) -> float:
+    """By how much 2 × cost falls without the odometry step from pose ``at`` to the next, downhill from ``poses``.
+
+    A reading counts at most CLIP: a step that only one or two readings contradict is believed.
+    """
+    begin, end, delta, information = problem.odometry
+    freed = information.copy()
+    freed[np.searchsorted(begin, at)] *= FREED
+    costs = []
+    for weight in (information, freed):
+        given = replace(problem, initial=poses, odometry=(begin, end, delta, weight))
+        found = native.solve(given, np.zeros(0, np.int64), COARSE)
+        cost = [losses(residuals(problem, s, found.poses), s.loss) for s in problem.scalars]
+        costs.append(2 * found.cost - sum(float(np.maximum(c - CLIP, 0.0).sum()) for c in cost))
+    return costs[0] - costs[1]
 
 
 def _spread(window: Window, poses: Array) -> float:
@@ -204,11 +220,11 @@ def _spread(window: Window, poses: Array) -> float:
 
     Outliers that a kernel tames still pull, each at most as its width; a step bent by many is no sign of a break.
     """
-    readings = list(_readings(window, poses))
-    if not readings:
+    found = list(readings(window, poses))
+    if not found:
         return 1.0
-    weight = np.concatenate([r.weight for r in readings])
-    pull = weight * np.concatenate([r.residual for r in readings])
+    weight = np.concatenate([r.weight for r in found])
+    pull = weight * np.concatenate([r.residual for r in found])
     tamed = weight < 1
     return max(float(np.mean(pull**2) / np.mean(weight) ** 2), 1.0) if tamed.any() else 1.0
 
@@ -230,16 +246,6 @@ def _strained(window: Window, poses: Array, now: int) -> list[tuple[TrackKey, in
                 rows.append((key, keyframe, offset + keyframe - first))
             until = since
     return rows
-
-
-def _turned(angle: Array) -> Array:
-    """(K, 3, 3) that turn positions by angles (K,)."""
-    turn = np.zeros((len(angle), 3, 3))
-    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
-    turn[:, 1, 0] = np.sin(angle)
-    turn[:, 0, 1] = -turn[:, 1, 0]
-    turn[:, 2, 2] = 1.0
-    return turn
 
 
 def drop(problem: Problem, poses: Array, at: Indices) -> tuple[Array, NDArray[np.int64]]:
@@ -308,25 +314,24 @@ def _rejected(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int
     keyframe = int(np.floor((g - INTERVALS[0]) * KEYFRAMES_PER_SECOND))
     found = []
     for k, key in enumerate(window.layout):
-        total, kept = _without_worst(np.concatenate([square[i == k], square[j == k]]))
+        total, kept = without_worst(np.concatenate([square[i == k], square[j == k]]))
         if kept >= FEWEST:
             found.append((Suspect(key, keyframe, total, False), kept))
     return found
+
+
+def _contradicted(window: Window, poses: Array, g: float) -> list[tuple[Suspect, int]]:
+    """Every member's readings since each moment of the last 10 s."""
+    return [(Suspect(c.key, c.since, c.total, False), c.dof) for c in contradictions(window, poses, g)]
 
 
 def recent_squares(window: Window, poses: Array, g: float) -> tuple[Indices, Indices, Array]:
     """Both members' numbers and the clipped squared residual of every reading of the last 5 s."""
     ends: tuple[list[Indices], list[Indices]] = ([np.zeros(0, np.int64)], [np.zeros(0, np.int64)])
     square = [np.zeros(0)]
-    for readings in _readings(window, poses):
-        first = int(np.searchsorted(readings.stamp, g - INTERVALS[0], "right"))
-        for column, end in zip(ends, readings.ends, strict=True):
+    for found in readings(window, poses):
+        first = int(np.searchsorted(found.stamp, g - INTERVALS[0], "right"))
+        for column, end in zip(ends, found.ends, strict=True):
             column.append(end[first:])
-        square.append(np.minimum(readings.residual[first:] ** 2, CLIP))
+        square.append(np.minimum(found.residual[first:] ** 2, CLIP))
     return np.concatenate(ends[0]), np.concatenate(ends[1]), np.concatenate(square)
-
-
-def _without_worst(square: Array) -> tuple[float, int]:
-    """The sum without the worst third, and of how many it is."""
-    kept = int(np.ceil(len(square) * (1 - OUTLIERS)))
-    return float(np.sort(square)[:kept].sum()), kept

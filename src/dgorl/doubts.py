@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp
 
-from dgorl.consistency import CLIP, OUTLIERS, chi2_limit, recent_squares
+from dgorl.consistency import CLIP, chi2_limit, recent_squares
+from dgorl.contradictions import OUTLIERS
 from dgorl.expansion.beam import expanded
 from dgorl.expansion.hypotheses import CERTAIN, Cluster
 from dgorl.expansion.step import SPACING, WHOLE, Step

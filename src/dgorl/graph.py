@@ -67,3 +67,15 @@ def weights(residual: Array, loss: Loss) -> Array:
     else:
         return np.ones_like(e)
     return np.where(residual > 0, 1.0, weight) if loss.kernel.endswith("negative") else weight
+
+
+def losses(residual: Array, loss: Loss) -> Array:
+    """Robust costs 2ρ(e²) (M,) in place of e²."""
+    e = np.abs(residual)
+    if loss.kernel.startswith("huber"):
+        cost = np.where(e <= loss.width, e**2, loss.width * (2 * e - loss.width))
+    elif loss.kernel.startswith("cauchy"):
+        cost = loss.width**2 * np.log1p((e / loss.width) ** 2)
+    else:
+        return np.asarray(e**2)
+    return np.where(residual > 0, e**2, cost) if loss.kernel.endswith("negative") else cost

@@ -27,6 +27,9 @@ from dgorl.window import Component, alone, extended, grow
 BREAK = 2
 """Nodes in a row at which a member has not fitted when it is cut off."""
 
+UNDECIDED = 1.0
+"""−2 log of likelihoods so near are as good as one another: the others are the same then, with either of them gone."""
+
 DELAY = 1.0
 """A node is first used this long after its time [s], when most of its data has arrived."""
 
@@ -143,16 +146,16 @@ class Memo:
             except ValueError:  # the graph leaves a pose undetermined: its members are on their own again
                 found += [alone(tracks[key], low, g) for key in component.tracks]
                 continue
-            if seen is not None and rest is not None and seen.nodes >= BREAK:
-                broken.add(seen.key)
-                start = since[seen.key] = seen.since / KEYFRAMES_PER_SECOND
+            if seen and rest is not None and seen[0].nodes >= BREAK:
+                start = seen[0].since / KEYFRAMES_PER_SECOND
+                broken |= {each.key for each in seen}
+                since |= {each.key: start for each in seen}
                 left = [key for key in component.tracks if key not in rest.stretches]
                 found += [rest, *(alone(tracks[key], start, g) for key in left)]
                 continue
             found.append(whole)
-            if seen is not None:
-                suspects[seen.key] = seen
-                doubted |= {seen.key: rest} if rest is not None and len(rest.tracks) > 1 else {}
+            suspects |= {each.key: each for each in seen}
+            doubted |= {seen[0].key: rest} if rest is not None and len(rest.tracks) > 1 else {}
         clusters = [*opened, *(cluster for cluster in node.clusters if not cluster.tracks & broken)]
         cast = {key: stamp for key, stamp in node.outcasts.items() if key in tracks}
         with stage(EXPANSION):
@@ -181,52 +184,60 @@ class Memo:
         g: float,
         boundary: float,
         before: Mapping[TrackKey, Suspect],
-    ) -> tuple[Component, Suspect | None, Component | None]:
-        """A component settled at g; who does not fit it, if anybody, and the component without that member."""
+    ) -> tuple[Component, Sequence[Suspect], Component | None]:
+        """A component settled at g; who does not fit it, if anybody, and the component without them."""
         if len(component.stretches) < 2:
-            return component, None, None
+            return component, (), None
         done = settled(self._history, component, low, g, boundary)
         found = suspects(done.window, done.poses, g, before)
         if not found:
-            return done.component, None, None
-        seen = self._blamed(component, found, done.window.base, low, g, boundary)
-        seen = seen.after(before.get(seen.key))
-        seen = replace(seen, since=max(seen.since, done.window.base + 1))  # the others need a pose before it
+            return done.component, (), None
+        seen = [
+            each.after(before.get(each.key))
+            for each in self._blamed(component, found, done.window.base, low, g, boundary)
+        ]
+        since = max(min(each.since for each in seen), done.window.base + 1)  # the others need a pose before it
+        seen = sorted((replace(each, since=since) for each in seen), key=lambda each: -each.nodes)
         try:
-            rest, _ = self._without(component, seen.key, seen.since, low, g, boundary)
+            rest, _ = self._without(component, [each.key for each in seen], since, low, g, boundary)
         except ValueError:  # without it the others are not determined
             return done.component, seen, None
         return done.component, seen, rest
 
     def _blamed(
         self, component: Component, found: Sequence[Suspect], base: int, low: float, g: float, boundary: float
-    ) -> Suspect:
-        """Whose removal lowers the team's sum most: those a robot lies to fit badly too. Of a large team, of a part."""
-        if len(component.tracks) > WHOLE:
-            component = excerpt(component, beside(component, [seen.key for seen in found]))
+    ) -> Sequence[Suspect]:
+        """Whose removal lowers the team's sum most: those a robot lies to fit badly too. Of a large team, of a part.
+
+        More than one where it cannot be known: of two that hear nobody else by now, either may have been carried.
+        """
+        component = excerpt(component, beside(component, [seen.key for seen in found]))
         since = max(min(seen.since for seen in found), base + 1)
         known = {seen.key: seen for seen in found}
         left = {}
         for key in component.tracks:
             try:
-                left[key] = self._without(component, key, since, low, g, boundary)[1]
+                left[key] = self._without(component, [key], since, low, g, boundary)[1]
             except ValueError:
                 continue
         least = min(left.values(), default=inf)
         if len(component.stretches) < 3 or least == inf:
-            return found[0]
+            return found[:1]
         worst = min((key for key in left if left[key] <= least), key=lambda key: key not in known)
-        return known.get(worst, Suspect(worst, since, found[0].excess, False))
+        named = known.get(worst, Suspect(worst, since, found[0].excess, False))
+        return [named, *(s for s in found if s.key != worst and left.get(s.key, inf) <= least + UNDECIDED)]
 
     def _without(
-        self, component: Component, gone: TrackKey, since: int, low: float, g: float, boundary: float
+        self, component: Component, gone: Sequence[TrackKey], since: int, low: float, g: float, boundary: float
     ) -> tuple[Component, float]:
-        """The component's other members at g as they are without one since a keyframe; how badly they fit one another.
+        """The component's other members at g as they are without some since a keyframe; how badly they fit one another.
 
         That is −2 log of the likelihood of their readings since then, beyond one for each.
         """
         tracks = {track.key: track for track in self._history.tracks}
-        rest = extended(without(self._history, component, gone, low, since), tracks, g)
+        first, *more = gone
+        rest = without(self._history, component, first, low, since)
+        rest = extended(excerpt(rest, [key for key in rest.tracks if key not in more]), tracks, g)
         if len(rest.stretches) < 2:
             return rest, 0.0
         if len(rest.tracks) > WHOLE:

@@ -47,6 +47,29 @@ def test_a_robot_that_is_carried_is_noticed_and_found_again(robots, seed):
     assert within(log, estimates[-1], "r2")
 
 
+@pytest.mark.parametrize(
+    ("at", "seed"),
+    [(59.5, 5), (58.0, 6), *(pytest.param(t, k, marks=pytest.mark.slow) for t in (59.5, 56.5) for k in (7, 9, 11))],
+)
+def test_a_robot_that_is_carried_is_noticed_at_the_next_node(at, seed):
+    """By the readings that few of the last 5 s are, as the kernel of ranges rejects them and no step bends."""
+    log = simulated(robots=4, steps=130, area=15.0, sensors=("range",), teleport=f"r2@{at:g}:9", seed=seed)
+    estimates = watched(log, [at - 1.0, 61.5])
+    assert estimates[0]["r2"].status in KNOWN
+    assert estimates[1]["r2"].reason.startswith("inconsistent: r2 ")
+
+
+def test_two_that_hear_only_one_another_are_both_in_doubt():
+    """Which of r2 and r4 was carried nobody can know: the others' readings are the same. r4 alone had been cut off."""
+    log = simulate(Scenario(steps=130, sensors=("range",), teleport="r2@50:10", seed=5))
+    team = Team(merge(Configuration(), log.configuration, "log"))
+    for measurement in log.measurements:
+        team.add(measurement)
+    team.update(62.0)
+    assert {key.robot for key in team._memo.node(55.0).suspects} == {"r2", "r4"}
+    assert [{key.robot for key in c.tracks} for c in team._memo.node(60.0).components] == [{"r1", "r3", "r5"}]
+
+
 CUT = CARRIED + 11.0
 """When a robot carried at CARRIED has been cut off: at the second node, first used a second later."""
 

@@ -22,10 +22,9 @@ def assert_harmless(result, soon):
     assert result.located >= 0.99 * result.located_alone
 
 
-@pytest.mark.parametrize(("ends", "soon"), [("liar", 15.0), ("both", 20.0)])
-def test_a_liar_is_named_and_harms_nobody(ends, soon):
-    """Where both ends measure, half of its ranges are true, and the kernel believes those: it is named a node later."""
-    assert_harmless(LIAR["trial"](1, TEAM, 60.0, ends, "known"), soon)
+@pytest.mark.parametrize("ends", ["liar", "both"])
+def test_a_liar_is_named_and_harms_nobody(ends):
+    assert_harmless(LIAR["trial"](1, TEAM, 60.0, ends, "known"), 15.0)
 
 
 def test_a_liar_nobody_has_ever_located_is_named():

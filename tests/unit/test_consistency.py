@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from dgorl import se2
+from dgorl.configuration import Kernel
 from dgorl.consistency import Suspect, bend, chi2_limit, drop
+from dgorl.graph import losses, residuals
 from dgorl.optimization import native
 from dgorl.optimization.problem import Loss, Problem, Scalars
 from dgorl.tracks import TrackKey
@@ -155,3 +158,25 @@ def test_a_step_that_newton_refuses_shortens_no_later_one() -> None:
         taken.append(native.solve(replace(problem, initial=start), np.zeros(0, np.int64), 1e-9))
     assert {found.reason for found in taken} == {"converged"}
     assert max(found.iterations for found in taken) < 40
+
+
+@pytest.mark.parametrize("kernel", get_args(Kernel))
+@pytest.mark.parametrize("off", [-7.0, -0.2, 0.1, 5.0])
+def test_losses_are_what_the_core_minimises(kernel: Kernel, off: float) -> None:
+    still = np.zeros((1, 3))
+    ranges = Scalars(
+        "range",
+        np.array([0]),
+        np.array([1]),
+        still,
+        still,
+        np.zeros(1),
+        np.array([10.0 - off]),
+        np.ones(1),
+        Loss(kernel, 1.7),
+    )
+    none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    poses = np.array([[0.0, 0, 0], [10, 0, 0]])
+    problem = Problem(np.array([0, 0]), np.array([True, True]), poses, none, (ranges,))
+    cost = native.graph(problem).cost(poses)
+    assert losses(residuals(problem, ranges, poses), ranges.loss)[0] == pytest.approx(2 * cost)
