@@ -130,9 +130,12 @@ def unfit(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKe
     bodies: the members of each component, in itself settled: readings of the last 5 s between them count. Of two that
     do not fit one another, it is the smaller one. Besides, single tracks that fit only as they are bent.
     """
-    window, poses = _firm(window, poses)
-    bent = _bent(window, poses, g, bodies)
-    return bent | _misfits(window, poses, g, bodies)
+    return astray(*_firm(window, poses), g, bodies)
+
+
+def astray(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKey, ...]]) -> frozenset[TrackKey]:
+    """The same with the kernels that the window has."""
+    return _bent(window, poses, g, bodies) | _misfits(window, poses, g, bodies)
 
 
 def _misfits(window: Window, poses: Array, g: float, bodies: Sequence[tuple[TrackKey, ...]]) -> frozenset[TrackKey]:

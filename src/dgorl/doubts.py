@@ -144,7 +144,7 @@ def _placed(
     tracks = {track.key: track for track in history.tracks if track.key in rest}
     try:
         singles = [alone(track, base, g) for _, track in sorted(tracks.items())]
-        return expanded(Step(history, tracks, g, since), known, singles, base)
+        return expanded(Step(history, tracks, g, since), known, singles, base, sweeps=1)
     except ValueError:  # the graph leaves a pose undetermined
         return None
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dgorl import se2
-from dgorl.expansion import drafts
+from dgorl.expansion import drafts, folds
 from dgorl.expansion.bodies import BINS, CORRELATED, SHORTEST_BIN, Drift, body_graph, drift, sightings, slopes
 from dgorl.optimization.problem import Loss, Problem, Scalars
 
@@ -196,7 +196,7 @@ def test_the_mirror_image_is_one_in_the_references_line(seed, reverse):
     rng = np.random.default_rng(seed)
     starts = np.column_stack([rng.uniform(-9, 9, (3, 2)), rng.uniform(-np.pi, np.pi, 3)])
     shapes = shapes_of(starts, reverse)
-    (image,) = shapes.starts(drafts.mirrored(shapes))
+    (image,) = shapes.starts(folds.mirrored(shapes))
     own = shapes.cluster.body == 0
     np.testing.assert_allclose(se2.between(shapes.poses[own], image[own]), 0, atol=1e-9)
     before, after = se2.between(starts[0], shapes.poses), se2.between(starts[0], image)
@@ -209,7 +209,7 @@ def test_curved_bodies_keep_their_curve():
     """Odometry tells left from right: a body in the mirror image's place is not mirrored itself."""
     starts = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 1.0]])
     shapes = shapes_of(starts, (False, False), curve=0.1)
-    (image,) = shapes.starts(drafts.mirrored(shapes))
+    (image,) = shapes.starts(folds.mirrored(shapes))
     motion = se2.between(image[10:19], image[11:20])
     np.testing.assert_allclose(motion, np.tile([0.5, 0.0, 0.1], (9, 1)), atol=1e-9)
     # The middle of its path is where the mirror image has it: on the other side of the reference's line.

@@ -9,14 +9,16 @@ from math import floor, inf
 import numpy as np
 
 from dgorl import _core
-from dgorl.consistency import unfit
-from dgorl.expansion import drafts
+from dgorl.consistency import astray, unfit
+from dgorl.expansion import drafts, folds
 from dgorl.expansion.carry import carried
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
+from dgorl.expansion.contradiction import contradicted
 from dgorl.expansion.decimated import Decimated, decimated
 from dgorl.expansion.hypotheses import (
     CERTAIN,
     COARSE,
+    TIE,
     Cluster,
     Hypothesis,
     Motion,
@@ -48,11 +50,16 @@ RECENT = 20
 DRAFTS, IMPROVED, STARTS = 20, 7, 3
 """Candidate graphs that are optimised coarsely, more so, and wholly, at a time."""
 
+SWEEPS = 4
+"""Starts from the best hypothesis are tried again, from the better one they find, at most so often."""
+
 WARM = 6
 """Warm particles of the best hypothesis."""
 
 
-def expanded(step: Step, before: Cluster | None, components: Sequence[Component], since: float) -> Cluster:
+def expanded(
+    step: Step, before: Cluster | None, components: Sequence[Component], since: float, sweeps: int = SWEEPS
+) -> Cluster:
     """The cluster of these components at g, from what was known of it."""
     history, g = step.history, step.g
     first = floor(since * KEYFRAMES_PER_SECOND)
@@ -72,26 +79,32 @@ def expanded(step: Step, before: Cluster | None, components: Sequence[Component]
         starts = np.stack([graph.start(u) for u in unions])
         new = [j for j, c in enumerate(added) if not c.stretches.keys() & known[0].stretches.keys()]
         starts = _with_new(step, graph, starts, new, k) if new else starts
-        optima = distinct(graph.optimize(coarse.whole(coarse.optimize(starts).poses)))
+        optima = distinct(graph.optimize(coarse.whole(coarse.improve(coarse.optimize(starts)).poses)))
     starts = shapes.starts(drafts.cold(shapes, k)[:DRAFTS])
     if optima is None:
         optima = _searched(graph, coarse, None, starts)
         starts = starts[:0]
-    optima = _searched(graph, coarse, optima, np.concatenate([starts, _near(step, graph, optima)]))
+    for _ in range(sweeps):
+        best = optima.mass[0]
+        optima = _searched(graph, coarse, optima, np.concatenate([starts, _near(step, graph, optima)]))
+        starts = starts[:0]
+        if optima.mass[0] <= best + TIE:
+            break
     other = passed(graph, optima.poses[0], passings(graph.window.layout, optima.poses[0], base))
     optima = distinct(both(optima, graph.optimize(other))) if len(other) else optima
     return beam(step, graph, optima, union, base, before)
 
 
 def _near(step: Step, graph: ClusterGraph, optima: Optima) -> Array:
-    """Starts (B, N, 3) from the best hypothesis: its mirror image, warm particles, and its bodies placed anew.
+    """Starts (B, N, 3) from the best hypothesis: its mirror image, warm particles, bodies folded and placed anew.
 
-    That last at every other node: the new data of 5 s seldom brings a new place.
+    Those that the readings contradict are placed anew together.
     """
     near = drafts.shapes_of(graph, optima.poses[0], graph.drift(), step.seed)
-    places = [drafts.mirrored(near), drafts.warm(near, optima[[0]], WARM)]
-    if step.index % 2:
-        places.append(drafts.reseeded(near))
+    places = [folds.mirrored(near), folds.folded(near), drafts.warm(near, optima[[0]], WARM), drafts.reseeded(near)]
+    off = contradicted(graph.window, optima.poses[0], graph.bodies)
+    if off:
+        places.append(drafts.regrown(near, [b for b, keys in enumerate(graph.bodies) if not off & set(keys)]))
     return near.starts(np.concatenate(places))
 
 
@@ -110,7 +123,7 @@ def _searched(graph: ClusterGraph, coarse: Decimated, optima: Optima | None, sta
     found = coarse.improve(distinct(tried, IMPROVED, np.inf))
     if optima is None:
         return distinct(graph.optimize(coarse.whole(distinct(found, STARTS, COARSE).poses)))
-    new = fresh(coarse.optimize(optima.poses), found, STARTS)
+    new = fresh(coarse.improve(coarse.optimize(optima.poses)), found, STARTS)
     return distinct(both(optima, graph.optimize(coarse.whole(new.poses)))) if len(new.mass) else optima
 
 
@@ -155,22 +168,29 @@ def beam(
         recent_mass = float(mass) if same else _mass(step, graph.bodies, recent)
         hypotheses.append(Hypothesis(component, float(mass), float(p), recent, recent_mass))
     agreed = {}
+    # Whom a contradicting link is wrong about is not known: a whole side of the team may be folded.
+    stands = not contradicted(graph.window, optima.poses[0], graph.bodies)
     keys, body = graph.keys, graph.body[graph.newest]
     for a, b in combinations(range(len(keys)), 2):
         if (
-            body[a] != body[b]
+            stands
+            and body[a] != body[b]
             and (len(probability) == 1 or agreement(optima, probability, a, b) >= CERTAIN)
             and settled_pair(optima, a, b)
         ):
             agreed[keys[a], keys[b]] = 1 + (0 if before is None else before.agreed.get((keys[a], keys[b]), 0))
     known = {} if before is None else before.unfit
-    misfits = {key: 1 + known.get(key, 0) for key in sorted(unfit(graph.window, optima.poses[0], step.g, graph.bodies))}
+    off = unfit(graph.window, optima.poses[0], step.g, graph.bodies)
+    bad = {key: 1 + known.get(key, 0) for key in sorted(off)}
+    lost = 0
+    if astray(graph.window, optima.poses[0], step.g, graph.bodies):
+        lost = 1 + (0 if before is None else before.astray)
     motion = _motion(step, graph, optima.poses[0])
     passing = None if before is None else before.passing
     if passing is not None and not set(passing) <= set(keys):
         passing = None
     begun = step.index if before is None else before.begun
-    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, motion, misfits, passing, begun)
+    return Cluster(base, graph.bodies, tuple(hypotheses), agreed, motion, bad, passing, begun, lost)
 
 
 def _mass(step: Step, groups: Sequence[Group], recent: Component) -> float:

@@ -111,7 +111,7 @@ def sightings(
         else:
             mean = np.add.reduceat(points[order], starts) / count[:, None]
             sigma = np.sqrt(np.add.reduceat(s.sigma[rows][order] ** 2, starts)) / count
-        found.append(_thinned(problem, s.kind, body[a[head]], body[b[head]], mean, sigma, s.loss))
+        found.append(_thinned(problem, s.kind, body[a[head]], body[b[head]], mean, sigma, s.loss.convex))
     return found
 
 

@@ -34,9 +34,14 @@ SMOOTHED = 100
 
 @dataclass(frozen=True)
 class Decimated:
-    """``graph``: the coarse one. Pose k of the whole graph is pose anchor[k] (N,) of it, times offset[k] (N, 3)."""
+    """``graph``: the coarse one. Pose k of the whole graph is pose anchor[k] (N,) of it, times offset[k] (N, 3).
+
+    convex: the same where no reading's pull fades, which leads from starts far off; its masses are not compared, as
+    readings without line of sight would decide.
+    """
 
     graph: ClusterGraph
+    convex: ClusterGraph
     anchor: Indices
     offset: Array
     first: Indices
@@ -51,11 +56,11 @@ class Decimated:
         return se2.compose(poses[:, self.anchor], self.offset)
 
     def optimize(self, starts: Array) -> Optima:
-        """Optima of the coarse graph from whole starts (B, N, 3)."""
-        return self.graph.optimize(self.coarse(starts), TOLERANCE, ITERATIONS)
+        """Optima of the convex coarse graph from whole starts (B, N, 3)."""
+        return self.convex.optimize(self.coarse(starts), TOLERANCE, ITERATIONS)
 
     def improve(self, found: Optima) -> Optima:
-        """Coarse optima taken further."""
+        """Coarse optima taken further, each reading with the kernel it has."""
         return self.graph.optimize(found.poses, TOLERANCE, 2 * ITERATIONS)
 
 
@@ -92,15 +97,19 @@ def decimated(graph: ClusterGraph, poses: Array) -> Decimated:
         priors=tuple(_prior(prior, anchor) for prior in p.priors if _stands(prior, first_of)),
         radio=p.radio,
     )
-    coarse = replace(
-        graph,
-        window=replace(window, problem=problem),
-        graph=native.graph(problem),
-        body=graph.body[first_of],
-        newest=anchor[graph.newest],
-        soft=anchor[graph.soft],
+    convex = replace(problem, scalars=tuple(replace(s, loss=s.loss.convex) for s in problem.scalars))
+    coarse, far = (
+        replace(
+            graph,
+            window=replace(window, problem=p),
+            graph=native.graph(p),
+            body=graph.body[first_of],
+            newest=anchor[graph.newest],
+            soft=anchor[graph.soft],
+        )
+        for p in (problem, convex)
     )
-    return Decimated(coarse, anchor, offset, first_of)
+    return Decimated(coarse, far, anchor, offset, first_of)
 
 
 def smoothed(step: Step, component: Component) -> Component:

@@ -18,6 +18,7 @@ from dgorl.expansion.bodies import Drift, Sightings
 from dgorl.expansion.candidates import Candidates, candidates
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima
 from dgorl.expansion.compatibility import compatibility
+from dgorl.expansion.folds import anchored, other_side
 from dgorl.expansion.search import best_graphs
 from dgorl.se2 import Array
 
@@ -134,16 +135,21 @@ def reseeded(shapes: Shapes) -> Array:
     drafts: list[tuple[float, Array]] = []
     for j in range(shapes.size):
         others = [b for b in range(shapes.size) if b != j]
-        found = place(shapes, here, others, j, MODES)
+        found = place(shapes, here, others, j, MODES, other_side(shapes, j))
         for pose, mass in zip(found.poses, found.mass - found.mass[:1], strict=True):
             draft = here.copy()
             draft[j] = pose
-            if j == 0:  # body 0 is the gauge: the others move instead
-                draft = se2.between(np.broadcast_to(pose, draft.shape), here)
-                draft[0] = 0.0
-            drafts.append((float(mass), draft))
+            drafts.append((float(mass), anchored(draft)))
     drafts.sort(key=lambda item: -item[0])
     return np.array([draft for _, draft in drafts]).reshape(-1, shapes.size, 3)
+
+
+def regrown(shapes: Shapes, placed: list[int]) -> Array:
+    """Drafts (B, m, 3) in which all bodies but those placed stand elsewhere; shapes in one common frame."""
+    if len(placed) < 2:
+        return np.zeros((0, shapes.size, 3))
+    found = complete(shapes, np.zeros((1, shapes.size, 3)), np.zeros(1), placed, MODES)
+    return np.array([anchored(draft) for draft in found[:GRAPHS]]).reshape(-1, shapes.size, 3)
 
 
 def warm(shapes: Shapes, best: Optima, count: int) -> Array:
@@ -158,22 +164,3 @@ def warm(shapes: Shapes, best: Optima, count: int) -> Array:
     moved = se2.compose(newest, draws.reshape(count, shapes.size, 3))
     at = se2.compose(moved, se2.inverse(newest))
     return se2.between(at[:, :1], at)
-
-
-def mirrored(shapes: Shapes) -> Array:
-    """The draft (1, m, 3) of a hypothesis' mirror image, as well as bodies that are not mirrored can make it.
-
-    Ranges tell a team from its mirror image by the curves of its paths alone: straight paths by nothing. METHOD §3.
-    """
-    middle, angle = np.zeros((shapes.size, 2)), np.zeros(shapes.size)
-    for b in range(shapes.size):
-        path = shapes.poses[shapes.cluster.body == b]
-        middle[b] = path[:, :2].mean(axis=0)
-        axis = np.linalg.svd(path[:, :2] - middle[b], full_matrices=False)[2][0]
-        heading = np.array([np.cos(path[:, 2]).mean(), np.sin(path[:, 2]).mean()])
-        angle[b] = np.arctan2(axis[1], axis[0]) + (np.pi if axis @ heading < 0 else 0.0)
-    turn = se2.rotation(angle[0])
-    image = (middle - middle[0]) @ turn * np.array([1.0, -1.0]) @ turn.T + middle[0]
-    theta = se2.wrap(2 * (angle[0] - angle))
-    moved = image - np.einsum("bij,bj->bi", se2.rotation(theta), middle)
-    return np.column_stack([moved, theta])[None]

@@ -33,6 +33,9 @@ BEARING, NEAR = 0.25, 5.0
 NODES = 2
 """Nodes in a row at which a relative pose has to be certain to be accepted, and a track has not fitted to be named."""
 
+STUBBORN = 4
+"""Nodes in a row for which a track has not fitted when the others are joined without it."""
+
 CERTAIN = 0.999
 """Probability at which a relative pose is accepted, at two nodes in a row."""
 
@@ -77,6 +80,8 @@ class Cluster:
     """who have passed one another so that the side they took is why they are not joined any more"""
     begun: int = 0
     """number of the node at which it was formed"""
+    astray: int = 0
+    """for how many nodes in a row some track has not fitted the best hypothesis, even as its kernels have it"""
 
     @property
     def tracks(self) -> frozenset[TrackKey]:
@@ -84,7 +89,12 @@ class Cluster:
 
     @property
     def sure(self) -> list[tuple[TrackKey, TrackKey]]:
-        """Pairs whose relative pose is accepted."""
+        """Pairs whose relative pose is accepted: nobody's while it is new that a track does not fit.
+
+        It may be that the search has missed the right optimum, of which that track is a part.
+        """
+        if 0 < self.astray < STUBBORN:
+            return []
         fit = self.tracks - self.unfit.keys()
         return [pair for pair, nodes in sorted(self.agreed.items()) if nodes >= NODES and fit.issuperset(pair)]
 

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from dgorl import se2
+from dgorl.expansion.contradiction import contradicted
 from dgorl.expansion.decimated import smoothed
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.expansion.step import WHOLE, Step, internal_links, restricted
@@ -31,7 +32,10 @@ class Agreement:
 
 
 def joined_whole(step: Step, cluster: Cluster, components: Sequence[Component], boundary: float) -> Component:
-    """One component of several, placed as the best hypothesis has them; a weak prior keeps it proper."""
+    """One component of several, placed as the best hypothesis has them; a weak prior keeps it proper.
+
+    Raises ValueError when a pose is left undetermined or the readings contradict it.
+    """
     keys = {key for component in components for key in component.stretches}
     best = restricted(cluster.hypotheses[0].component, keys)
     return _settled(step, best, components, cluster.base / KEYFRAMES_PER_SECOND, boundary)
@@ -43,7 +47,7 @@ def joined_parts(
     """One component of several, by number, of which clusters know parts: each as it is, where its part stands.
 
     Tracks that were alone come as the best hypothesis bends them, with all that was measured since the cluster's base.
-    Raises ValueError when what agrees does not place them all.
+    Raises ValueError when what agrees does not place them all or readings contradict it.
     """
     home = {key: k for k, component in components.items() for key in component.tracks}
     own = dict(components)
@@ -85,7 +89,11 @@ def _placed(best: Component, on_a: Stretch, on_b: Stretch, a: TrackKey, b: Track
 def _settled(step: Step, best: Component, components: Sequence[Component], low: float, boundary: float) -> Component:
     weak = _weak(best, components)
     best = Component(best.stretches, (*best.priors, *weak), internal_links(step, best, low))
-    return settled(step.history, best, low, step.g, boundary).component
+    found = settled(step.history, best, low, step.g, boundary)
+    bodies = [tuple(component.stretches) for component in components]
+    if contradicted(found.window, found.poses, bodies):  # parts know no readings between one another
+        raise ValueError("the readings contradict what agreed")
+    return found.component
 
 
 def _weak(best: Component, components: Sequence[Component]) -> tuple[Prior, ...]:

@@ -24,6 +24,13 @@ class Loss:
     kernel: Kernel = "none"
     width: float = 1.0
 
+    @property
+    def convex(self) -> Loss:
+        """The kernel of the same side whose pull never fades: far from an optimum it still tells the way."""
+        if self.kernel == "cauchy":
+            return Loss("huber", self.width)
+        return Loss("huber_negative", self.width) if self.kernel == "cauchy_negative" else self
+
 
 @dataclass(frozen=True)
 class RelativePoses:
