@@ -13,7 +13,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dgorl.consistency import CLIP, OUTLIERS, TAIL
+from dgorl.consistency import CLIP, TAIL
+from dgorl.contradictions import OUTLIERS
 from dgorl.graph import residuals
 from dgorl.se2 import Array
 from dgorl.tracks import TrackKey
