@@ -143,4 +143,6 @@ def test_cases(name: str, level: Level, fragments: list[str]) -> None:
 def test_recordings_are_plausible(name: str) -> None:
     for level, what, _ in said(logs.read(Path(recording(name)))):
         assert level == Level.NOTE
+        if "times in a second" in what:  # a fast radio, no doubtful one
+            continue
         assert not any(word in what for word in ("impossible", "turns", "drives", "range:", "states")), what
