@@ -13,7 +13,7 @@ from dgorl.consistency import astray, unfit
 from dgorl.expansion import drafts, folds
 from dgorl.expansion.carry import carried
 from dgorl.expansion.cluster_graph import ClusterGraph, Optima, cluster_graph
-from dgorl.expansion.contradiction import contradicted
+from dgorl.expansion.contradicted_links import contradicted
 from dgorl.expansion.decimated import Decimated, decimated
 from dgorl.expansion.hypotheses import (
     CERTAIN,

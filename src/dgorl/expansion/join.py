@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from dgorl import se2
-from dgorl.expansion.contradiction import contradicted
+from dgorl.expansion.contradicted_links import contradicted
 from dgorl.expansion.decimated import smoothed
 from dgorl.expansion.hypotheses import Cluster
 from dgorl.expansion.step import WHOLE, Step, internal_links, restricted

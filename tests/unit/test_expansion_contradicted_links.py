@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dgorl.expansion.contradiction import contradicted
+from dgorl.expansion.contradicted_links import contradicted
 from dgorl.optimization.problem import Loss, Scalars
 
 PLACES = np.array([[0.0, 0.0], [9.0, 0.0], [4.0, 1.0], [5.0, 8.0], [2.0, 6.0]])
