@@ -14,8 +14,11 @@ from dgorl.errors import DgorlError
 from dgorl.estimate import Estimate
 from dgorl.localizer import Team
 from dgorl.logs.log import Log, Part, Start, Step
-from dgorl.measurements import WORLD, ClockKey, Measurement, RelativePose, known_at
+from dgorl.measurements import WORLD, ClockKey, Displacement, Measurement, Odometry, RelativePose, known_at
 from dgorl.team_time import team_on
+
+ALONE = 60.0
+"""So long [s] after the last odometry a replay goes on."""
 
 START_SIGMA = (0.05, 0.05, 0.017453292519943295)
 """How well known starts are trusted: 0.05 m, 0.05 m, 1° (INTERFACES, ``--initial known``)."""
@@ -46,7 +49,7 @@ class Replay:
         self._clock: ClockKey | None = None
         period = configuration.period
         stamps = [known_at(m) for m in log.measurements]
-        first, last = (ceil(min(stamps) / period), floor(max(stamps) / period)) if stamps else (0, -1)
+        first, last = (ceil(min(stamps) / period), floor(_end(log, max(stamps)) / period)) if stamps else (0, -1)
         self._count = max(last - first + 1, 0) if log.live is None else len(log.live.steps)
         self._steps = iter(log.live.steps) if log.live else _paced(measurements, period, range(first, last + 1))
 
@@ -92,6 +95,12 @@ class Replay:
             return now
         placed = self._team.team_now(*self._clock, now)
         return now if placed is None else placed
+
+
+def _end(log: Log, last: float) -> float:
+    """Until when there is something to estimate [s]: everybody is isolated soon after the last odometry."""
+    told = max((m.end for m in log.measurements if isinstance(m, Odometry | Displacement)), default=last)
+    return min(last, told + ALONE)
 
 
 def _paced(measurements: Sequence[Measurement], period: float, ticks: range) -> Iterator[Step]:

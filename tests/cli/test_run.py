@@ -140,6 +140,17 @@ def test_a_rerun_takes_hypotheses_away(dgorl: Dgorl, small: Path, tmp_path: Path
     assert not (tmp_path / "hypotheses").exists()
 
 
+def test_readings_long_after_all_odometry_cost_no_ticks(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
+    """As when ranges are stamped in milliseconds: nobody can be located without odometry."""
+    log = tmp_path / "log"
+    shutil.copytree(small, log)
+    with (log / "ranges.csv").open("a", encoding="utf-8") as ranges:
+        ranges.write("40000.0,r1,r2,3.0,0.1\n")
+    done = dgorl("run", log, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["ticks"] < 400
+
+
 def test_window_all(dgorl: Dgorl, small: Path, tmp_path: Path) -> None:
     done = dgorl("run", small, "--window", "all", "--ego", "r1", "--out", tmp_path, "--json")
     assert json.loads(done.stdout)["configuration"]["window"] == "all"

@@ -110,6 +110,16 @@ def test_odometry_on_another_clock_than_the_readings(by: float) -> None:
     assert line.endswith(f"share no time: the clocks differ by {abs(by):.0f} s")
 
 
+@pytest.mark.parametrize("by", [-900.0, 3600.0])
+def test_all_odometry_on_another_clock_than_the_readings(by: float) -> None:
+    odd = log(*driven("r1", by, by + 20), *driven("r2", by, by + 20), *READINGS)
+    lines = [line for line in said(checkup(odd), Level.PROBLEM) if line.startswith("odometry of r")]
+    assert lines
+    for line in lines:
+        told = float(line.rsplit("the clocks differ by ", 1)[1].removesuffix(" s"))
+        assert abs(told - abs(by)) <= 2.0, line
+
+
 def test_held_twists_are_counted_as_rows(tmp_path: Path) -> None:
     rows = [(t, robot) for t in (0, 1, 2, 3, 9, 10) for robot in ROBOTS if robot != "r2" or t not in (2, 3)]
     text = "t,robot,v,omega\n" + "".join(f"{t},{robot},0.2,0\n" for t, robot in rows)

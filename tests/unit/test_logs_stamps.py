@@ -173,8 +173,26 @@ def test_overlaps_of_rounding_size_are_none(tmp_path: Path, begin: float, period
 
 
 def test_real_overlaps_are_refused(tmp_path: Path) -> None:
-    text = f"start,end,robot,v,omega\n{UNIX},{UNIX + 1},r1,0.5,0\n{UNIX + 0.9999},{UNIX + 2},r1,0.5,0\n"
+    text = f"start,end,robot,v,omega\n{UNIX},{UNIX + 1},r1,0.5,0\n{UNIX + 0.99},{UNIX + 2},r1,0.5,0\n"
     refused(make(tmp_path, FOLDER | {"odometry.csv": text}), "odometry.csv:3: time runs backwards for r1")
+
+
+@pytest.mark.parametrize(("overlap", "fine"), [(0.0003, True), (0.001, True), (0.004, False)])
+def test_stamps_in_whole_milliseconds_overlap_by_one(tmp_path: Path, overlap: float, fine: bool) -> None:
+    """Nothing of a row is cut off: its displacement is that of all of it."""
+    folder = tmp_path / "log"
+    folder.mkdir()
+    (folder / "team.yaml").write_text("robots: [a, b]\n")
+    rows = [f"{0.1 * k - (overlap if k else 0.0):.4f},{0.1 * (k + 1):.4f},a,0.05,0,0.01" for k in range(20)]
+    (folder / "odometry.csv").write_text("\n".join(["start,end,robot,dx,dy,dtheta", *rows]) + "\n")
+    (folder / "ranges.csv").write_text("t,from,to,range,sigma\n1.0,a,b,3.0,0.1\n")
+    if not fine:
+        with pytest.raises(LogError, match=r"odometry.csv:3: time runs backwards for a"):
+            logs.read(folder)
+        return
+    found = [m for m in logs.read(folder).measurements if isinstance(m, Displacement)]
+    assert [m.dx for m in found] == [0.05] * 20
+    assert [m.start for m in found[1:]] == [m.end for m in found[:-1]]
 
 
 @pytest.mark.parametrize("name", ["ulp_overlap", "ulp_overlap_epoch"])

@@ -64,6 +64,11 @@ def test_a_clean_log_is_plausible(team: Log) -> None:
             "did you mean `motion: {linear_scale: 0.001}`, for mm?",
         ),
         (
+            lambda m: replace(m, dx=m.dx * 100) if isinstance(m, Displacement) else m,
+            "r1: drives at ",
+            "did you mean `motion: {linear_scale: 0.01}`, for cm?",
+        ),
+        (
             lambda m: Odometry(m.robot, m.start, m.end, m.dx * 30, 0.1) if isinstance(m, Displacement) else m,
             "r1: drives at ",
             "is that so? Then set `motion: {maximum_speed: ",

@@ -26,6 +26,9 @@ from dgorl.measurements import (
 )
 from dgorl.terrain import Altitude
 
+MILLISECONDS, SHARE = 1.5e-3, 0.1
+"""Overlaps of rows up to this [s], and this share of a row, come from stamps in whole milliseconds."""
+
 HELD: Columns = ("t", "robot", "v", "omega")
 TWIST: Columns = ("start", "end", "robot", "v", "omega")
 DISPLACEMENT: Columns = ("start", "end", "robot", "dx", "dy", "dtheta")
@@ -139,8 +142,10 @@ def _intervals(rows: Iterator[Row], team: Team) -> Iterator[tuple[Row, str, floa
     for row in rows:
         start, end, robot = row.number(0), row.number(1), row.robot(2, team.robots)
         last = ends.get(robot, start)
-        if start < last - rounding(last):
+        if start < last - max(rounding(last), min(MILLISECONDS, SHARE * (end - last))):
             raise row.error(f"time runs backwards for {robot}: starts at {start!r}, before the last end {last!r}")
+        if end > last > start + rounding(last):
+            start = last  # what the row says is of all of it: nothing is cut off
         ends[robot] = end
         yield row, robot, start, end
 

@@ -59,7 +59,8 @@ def _motion(robot: str, rows: Sequence[Odometry | Displacement], configuration: 
         if usual > FAST * limits[k]:
             advice = f"is that so? Then set `motion: {{{names[k]}: {usual:.2g}}}`"
             if k == 0 and usual > 20 * limits[k]:
-                advice = "did you mean `motion: {linear_scale: 0.001}`, for mm?"
+                scale, size = (0.001, "mm") if usual > 200 * limits[k] else (0.01, "cm")
+                advice = f"did you mean `motion: {{linear_scale: {scale:g}}}`, for {size}?"
             elif k == 1 and usual * pi / 180 < limits[k]:
                 advice = "degrees? Then record radians, or set `motion: {angular_scale: 0.0174533}`"
             yield note(

@@ -141,7 +141,7 @@ def knocked(endpoint: str) -> str:
         return f"{endpoint} cannot be tried"
     try:
         with socket.create_connection((host.strip("[]"), int(port)), KNOCK):
-            return f"{endpoint} answers: another team, or other certificates"
+            return f"{endpoint} answers: another team, other certificates, or a program that hangs"
     except socket.gaierror:
         return f"{endpoint}: no host of this name"
     except TimeoutError:
