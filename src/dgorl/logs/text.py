@@ -109,9 +109,8 @@ class Forward:
         if last is not None and (stamp < last or (self._strictly and stamp == last)):
             what = "time stands still" if stamp == last else "time runs backwards"
             of = f" for {who}" if who else ""
-            raise row.error(
-                f"{what}{of}: {stamp!r} after {last!r}; sort the rows by time, or leave this one out if its clock was set"
-            )
+            advice = "sort the rows by time, or leave this one out if its clock was set"
+            raise row.error(f"{what}{of}: {stamp!r} after {last!r}; {advice}")
         self._last[who] = stamp
 
 
