@@ -58,7 +58,7 @@ def test_monitor(width: int) -> None:
         name: {
             "says": {"s_ago": 0.5, "sent_bytes_per_s": 1234.0, "peers": {peer: seen}, "loss": {peer: 0.25}},
             "clock": {"ahead_s": 0.001, "sigma_s": 0.001}, "same_team_file": True, "present": True, "heard_s_ago": 0.5,
-            "rejected_here": {},
+            "rejected_here": {}, "lives_twice": [],
         }
         for name, peer in (NAMES, NAMES[::-1])
     }  # fmt: skip
