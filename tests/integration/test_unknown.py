@@ -308,7 +308,10 @@ def node_distances(log, stamps, **changes):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("share", [0.9, 0.97])
 def test_no_two_members_are_farther_apart_than_the_diameter(seed, share):
-    """A limit a little below what the readings say binds (far below it is a contradiction), and holds at every keyframe of the nodes' windows."""
+    """A limit a little below what the readings say binds, and holds at every keyframe of the nodes' windows.
+
+    Far below it would be a contradiction.
+    """
     log = wandering(TRIANGLE, 60.0, seed=seed)
     stamps = every(5.0, 60.0, since=1.0)
     free = node_distances(log, stamps)
